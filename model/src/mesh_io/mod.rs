@@ -1,0 +1,3 @@
+//! Mesh files in, and primitives as meshes.
+
+pub mod tessellate;
