@@ -1,1 +1,14 @@
-//! Placeholder.
+//! Replays trajectories and renders what cameras see of them.
+//!
+//! A [`RenderScene`] is what can be seen, a [`FrameState`] is where everything is at one instant,
+//! and a [`Backend`] turns both into images. Every backend follows the image model of [`scene`].
+
+pub mod backend;
+pub mod error;
+pub mod replay;
+pub mod scene;
+
+pub use backend::{Backend, PlacedCamera};
+pub use error::RenderError;
+pub use replay::FrameState;
+pub use scene::{BodyGroup, Lighting, RenderBody, RenderScene};
