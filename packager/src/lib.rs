@@ -1,1 +1,11 @@
-//! Placeholder.
+//! What Akrobat stores: trajectory files, dataset shards, MCAP logs and manifests.
+//!
+//! Files appear under their final name only when they are whole: they are written under a
+//! temporary name in the same folder, synced and renamed. The same input gives the same bytes.
+
+pub mod error;
+mod h5;
+pub mod trajectory_file;
+mod whole_file;
+
+pub use error::PackError;

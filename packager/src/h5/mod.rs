@@ -1,0 +1,54 @@
+//! HDF5 files as this project writes them: old enough a format for `h5dump` 1.10, no object times,
+//! checksummed chunks, and errors that name file and dataset.
+
+mod read;
+mod write;
+
+pub(crate) use read::H5Reader;
+pub(crate) use write::{GroupWriter, H5Writer};
+
+use std::path::Path;
+
+use crate::error::PackError;
+
+/// Level of deflate: beyond it size gains little and time grows fast.
+pub(crate) const DEFLATE_LEVEL: u8 = 4;
+
+/// Largest ratio by which deflate can shrink data.
+const DEFLATE_MAX_RATIO: u64 = 1032;
+
+/// The system's error number in an HDF5 error, whose frames state it as `errno = N`.
+fn os_error(error: &hdf5::Error) -> Option<std::io::Error> {
+    let stack = error.stack()?;
+    let code = stack.iter().find_map(|frame| {
+        let digits = frame.desc().split_once("errno = ")?.1;
+        let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
+        digits[..end].parse::<i32>().ok()
+    })?;
+    (code != 0).then(|| std::io::Error::from_raw_os_error(code))
+}
+
+/// The innermost frame says what happened; the outermost only which call failed.
+fn message(error: &hdf5::Error) -> String {
+    match error.stack().as_deref().and_then(|frames| frames.last().cloned()) {
+        Some(frame) => frame.desc().to_owned(),
+        None => error.to_string(),
+    }
+}
+
+/// An error of writing `item`.
+pub(crate) fn write_error(path: &Path, item: &str, error: &hdf5::Error) -> PackError {
+    match os_error(error) {
+        Some(source) => PackError::io(path, source),
+        None => PackError::Library {
+            path: path.to_path_buf(),
+            item: item.to_owned(),
+            message: message(error),
+        },
+    }
+}
+
+/// An error of reading `item`.
+pub(crate) fn read_error(path: &Path, item: &str, error: &hdf5::Error) -> PackError {
+    PackError::damaged(path, format!("{item}: {}", message(error)))
+}
