@@ -109,6 +109,22 @@ pub struct GripperSection {
     pub tool_link: String,
     /// Tool frame in that link: `[x y z qw qx qy qz]`.
     pub link_from_tool: [f64; 7],
+    /// A gripper of its own URDF to mount on the robot's, where the robot's has none. The names
+    /// above may then be either URDF's.
+    #[serde(default)]
+    pub attach: Option<AttachSection>,
+}
+
+/// A gripper described in a URDF of its own, and where it is bolted on.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AttachSection {
+    /// URDF of the gripper, relative to the robot file or on the asset search path.
+    pub urdf: PathBuf,
+    /// Link of the robot that carries it.
+    pub link: String,
+    /// Root frame of the gripper in that link: `[x y z qw qx qy qz]`.
+    pub link_from_gripper: [f64; 7],
 }
 
 /// Collision spheres of a [`RobotFile`].
