@@ -38,4 +38,17 @@ pub trait Backend: Send {
         frame: &FrameState,
         cameras: &[PlacedCamera],
     ) -> Result<Vec<CameraFrame>, RenderError>;
+
+    /// Several frames, each with its cameras, as [`Backend::render`] gives them. Backends that are
+    /// costly to call (another language, another process) override this.
+    ///
+    /// # Errors
+    /// As [`Backend::render`].
+    fn render_batch(
+        &mut self,
+        scene: &RenderScene,
+        frames: &[(FrameState, Vec<PlacedCamera>)],
+    ) -> Result<Vec<Vec<CameraFrame>>, RenderError> {
+        frames.iter().map(|(frame, cameras)| self.render(scene, frame, cameras)).collect()
+    }
 }

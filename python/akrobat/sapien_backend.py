@@ -1,0 +1,273 @@
+"""Renders frames with SAPIEN: the high-fidelity backend of `akrobat render`.
+
+The compiled half of the package calls :func:`require_sapien` once, makes one
+:class:`SapienRenderer` per scene and calls :meth:`SapienRenderer.render` once per batch of frames.
+Geometry follows the image model that all backends share (every triangle is opaque and seen from
+both sides, one sample per pixel centre), so depth and segmentation agree with theirs; shading is
+SAPIEN's own.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+Images = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
+
+# SAPIEN's camera looks along +x with z up; ours along +z with y down. `[qw qx qy qz]`.
+CAMERA_FROM_SAPIEN_CAMERA = (0.5, 0.5, -0.5, 0.5)
+
+
+class Mesh(TypedDict):
+    """Triangles of one material, metres, in the frame of their body."""
+
+    positions: NDArray[np.float32]
+    """`[V, 3]`"""
+    triangles: NDArray[np.uint32]
+    """`[T, 3]`"""
+    normals: NDArray[np.float32] | None
+    """`[V, 3]`, unit length"""
+    uvs: NDArray[np.float32] | None
+    """`[V, 2]`, v = 0 at the texture's top row"""
+    base_color: tuple[float, float, float, float]
+    """linear RGBA factor"""
+    texture: NDArray[np.uint8] | None
+    """sRGB `[H, W, 4]`"""
+
+
+class Body(TypedDict):
+    """A rigid body."""
+
+    name: str
+    segment_id: int
+    meshes: list[Mesh]
+
+
+class Camera(TypedDict):
+    """A camera whose pose comes with each frame."""
+
+    width: int
+    height: int
+    K: tuple[tuple[float, float, float], ...]
+    near_m: float
+    far_m: float
+
+
+class Lighting(TypedDict):
+    """One directional light, ambient light from above and below (linear RGB), background (sRGB)."""
+
+    sun_direction: tuple[float, float, float]
+    """unit vector from the ground to the sun"""
+    sun_rgb: tuple[float, float, float]
+    sky_rgb: tuple[float, float, float]
+    ground_rgb: tuple[float, float, float]
+    background_rgb: tuple[int, int, int]
+
+
+def require_sapien() -> None:
+    """Raises an error that says what to install where SAPIEN is missing."""
+    try:
+        import sapien  # noqa: F401
+    except ImportError as error:
+        raise RuntimeError(
+            f"SAPIEN cannot be imported ({error}); install it with: pip install 'akrobat[sapien]'"
+        ) from error
+
+
+class SapienRenderer:
+    """A scene loaded into SAPIEN.
+
+    On machines without an NVIDIA card it draws with a software Vulkan driver; set
+    `AKROBAT_SAPIEN_DEVICE` to any device string of SAPIEN's (`cpu`, `cuda:0`) to choose.
+    """
+
+    def __init__(self, bodies: list[Body], cameras: list[Camera], lighting: Lighting) -> None:
+        import sapien
+
+        self._sapien = sapien
+        try:
+            self._system = sapien.render.RenderSystem(_device())
+        except RuntimeError as error:
+            raise RuntimeError(
+                f"SAPIEN finds no usable Vulkan driver ({error}); on a machine without a graphics "
+                'card, get a software driver with: eval "$(scripts/vulkan.sh)"'
+            ) from error
+        self._scene = sapien.Scene([self._system])
+        self._background = np.asarray(lighting["background_rgb"], np.uint8)
+        self._light(lighting)
+        self._bodies = [self._add_body(body) for body in bodies]
+        self._cameras = [self._add_camera(camera) for camera in cameras]
+        self._planes = [(camera["near_m"], camera["far_m"]) for camera in cameras]
+        self._segment_of_entity = self._segment_table(bodies)
+
+    def render(
+        self, world_from_body: NDArray[np.float64], world_from_camera: NDArray[np.float64]
+    ) -> list[Images]:
+        """Draws a batch of frames.
+
+        :param world_from_body: `[F, bodies, 7]`, each `x y z qw qx qy qz`
+        :param world_from_camera: `[F, cameras, 7]`, cameras looking along +z with y down
+        :return: per camera sRGB colours `[F, H, W, 3]`, z-depth in metres `[F, H, W]` and segment
+            ids `[F, H, W]`; depth and segment are 0 where nothing is seen
+        """
+        frames = len(world_from_body)
+        images = [_empty_images(frames, camera) for camera in self._cameras]
+        for frame in range(frames):
+            for entity, pose in zip(self._bodies, world_from_body[frame], strict=True):
+                entity.set_pose(self._pose(pose))
+            for camera, pose in zip(self._cameras, world_from_camera[frame], strict=True):
+                turn = self._sapien.Pose([0.0, 0.0, 0.0], list(CAMERA_FROM_SAPIEN_CAMERA))
+                camera.entity.set_pose(self._pose(pose) * turn)
+            self._scene.update_render()
+            for index, camera in enumerate(self._cameras):
+                camera.take_picture()
+                rgb, depth, segment = images[index]
+                self._read(camera, self._planes[index], rgb[frame], depth[frame], segment[frame])
+        return images
+
+    def _pose(self, pose: NDArray[np.float64]) -> Any:
+        return self._sapien.Pose(pose[:3].astype(np.float32), pose[3:].astype(np.float32))
+
+    def _light(self, lighting: Lighting) -> None:
+        # SAPIEN's ambient light has no direction: a horizontal surface's share of sky and ground.
+        sky, ground = np.asarray(lighting["sky_rgb"]), np.asarray(lighting["ground_rgb"])
+        self._scene.set_ambient_light(list(0.5 * (sky + ground)))
+        # SAPIEN divides diffuse reflection by pi (radiometric units), the shared model does not.
+        self._scene.add_directional_light(
+            [-component for component in lighting["sun_direction"]],
+            [math.pi * component for component in lighting["sun_rgb"]],
+            shadow=False,
+        )
+
+    def _add_body(self, body: Body) -> Any:
+        component = self._sapien.render.RenderBodyComponent()
+        for mesh in body["meshes"]:
+            component.attach(self._shape(mesh))
+        entity = self._sapien.Entity()
+        entity.set_name(body["name"])
+        entity.add_component(component)
+        self._scene.add_entity(entity)
+        return entity
+
+    def _shape(self, mesh: Mesh) -> Any:
+        positions, triangles, normals, uvs = _two_sided(mesh)
+        material = self._sapien.render.RenderMaterial()
+        material.base_color = [*mesh["base_color"][:3], 1.0]
+        material.roughness = 1.0
+        material.specular = 0.0
+        material.metallic = 0.0
+        if mesh["texture"] is not None and mesh["uvs"] is not None:
+            # The "minimal" shaders take the texture instead of the factor, not times it.
+            texture = _linear_texture(mesh["texture"], mesh["base_color"])
+            material.base_color_texture = self._sapien.render.RenderTexture2D(
+                texture, "R32G32B32A32Sfloat"
+            )
+        return self._sapien.render.RenderShapeTriangleMesh(
+            positions, triangles, normals, uvs, material
+        )
+
+    def _add_camera(self, camera: Camera) -> Any:
+        shaders = Path(self._sapien.__file__).parent / "vulkan_shader" / "minimal"
+        component = self._sapien.render.RenderCameraComponent(
+            camera["width"], camera["height"], str(shaders)
+        )
+        (fx, skew, cx), (_, fy, cy), _ = camera["K"]
+        component.set_perspective_parameters(
+            camera["near_m"], camera["far_m"], fx, fy, cx, cy, skew
+        )
+        entity = self._sapien.Entity()
+        entity.add_component(component)
+        self._scene.add_entity(entity)
+        return component
+
+    def _segment_table(self, bodies: list[Body]) -> NDArray[np.uint16]:
+        """Segment id by SAPIEN's entity id."""
+        entity_ids = [entity.per_scene_id for entity in self._bodies]
+        table = np.zeros(max(entity_ids, default=0) + 1, np.uint16)
+        table[entity_ids] = [body["segment_id"] for body in bodies]
+        return table
+
+    def _read(
+        self,
+        camera: Any,
+        planes: tuple[float, float],
+        rgb: NDArray[np.uint8],
+        depth_m: NDArray[np.float32],
+        segment: NDArray[np.uint16],
+    ) -> None:
+        entity_id = camera.get_picture("PositionSegmentation")[..., 3]
+        segment[:] = self._segment_of_entity[entity_id]
+        seen = segment != 0
+        # The depth buffer rather than the position image, which counts whole millimetres.
+        depth_m[:] = np.where(seen, _z_depth(camera.get_picture("GbufferDepth"), *planes), 0.0)
+        color = np.clip(camera.get_picture("Color")[..., :3], 0.0, 1.0)
+        rgb[:] = np.where(seen[..., None], np.rint(color * 255.0), self._background)
+
+
+def _device() -> str:
+    has_nvidia_card = Path("/dev/nvidia0").exists()
+    return os.environ.get("AKROBAT_SAPIEN_DEVICE", "cuda" if has_nvidia_card else "cpu")
+
+
+def _empty_images(frames: int, camera: Any) -> Images:
+    shape = (frames, camera.height, camera.width)
+    return (
+        np.empty((*shape, 3), np.uint8),
+        np.empty(shape, np.float32),
+        np.empty(shape, np.uint16),
+    )
+
+
+def _z_depth(buffer: NDArray[np.float32], near_m: float, far_m: float) -> NDArray[np.float64]:
+    """Inverts the perspective depth of Vulkan: 0 on the near plane, 1 on the far plane."""
+    return near_m * far_m / (far_m - buffer.astype(np.float64) * (far_m - near_m))
+
+
+def _linear_texture(
+    texture: NDArray[np.uint8], factor: tuple[float, float, float, float]
+) -> NDArray[np.float32]:
+    """Decodes sRGB (IEC 61966-2-1) and applies the factor; opaque."""
+    encoded = np.arange(256) / 255.0
+    decoded = np.where(
+        encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
+    ).astype(np.float32)
+    linear = np.ones(texture.shape, np.float32)
+    linear[..., :3] = decoded[texture[..., :3]] * np.asarray(factor[:3], np.float32)
+    return linear
+
+
+def _two_sided(
+    mesh: Mesh,
+) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32], NDArray[np.float32]]:
+    """Positions, triangles, normals and texture coordinates, with a back to every triangle (SAPIEN
+    culls what faces away)."""
+    positions, triangles = mesh["positions"], mesh["triangles"]
+    normals, uvs = mesh["normals"], mesh["uvs"]
+    if uvs is None:
+        uvs = np.zeros((len(positions), 2), np.float32)
+    if normals is None:
+        corners = positions[triangles]
+        positions, uvs = corners.reshape(-1, 3), uvs[triangles].reshape(-1, 2)
+        normals = np.repeat(_face_normals(corners), 3, axis=0)
+        triangles = np.arange(len(positions), dtype=np.uint32).reshape(-1, 3)
+    backs = triangles[:, ::-1] + np.uint32(len(positions))
+    return (
+        np.concatenate([positions, positions]),
+        np.concatenate([triangles, backs]),
+        np.concatenate([normals, -normals]),
+        np.concatenate([uvs, uvs]),
+    )
+
+
+def _face_normals(corners: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit normals of triangles `[T, 3, 3]`; up where a triangle has no area."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0], np.float32)
+    has_area = lengths > 0.0
+    return np.where(has_area, normals / np.where(has_area, lengths, 1.0), up).astype(np.float32)

@@ -1,0 +1,17 @@
+//! `akrobat._core`: registers with Python what the Rust crates do. No logic of its own.
+
+mod command_line;
+mod errors;
+mod interruptible;
+mod sapien;
+
+use pyo3::prelude::*;
+
+/// The compiled half of the `akrobat` package.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use crate::command_line::run;
+    #[pymodule_export]
+    use crate::errors::{AkrobatError, InputError, RunError};
+}

@@ -1,0 +1,226 @@
+//! The SAPIEN renderer: hands scenes and poses to `akrobat.sapien_backend` as arrays.
+
+use std::sync::Arc;
+
+use akrobat::Host;
+use akrobat_cameras::CameraFrame;
+use akrobat_model::{Pose, TriMesh, pose};
+use akrobat_renderer::scene::Lighting;
+use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderBody, RenderError, RenderScene};
+use numpy::{PyArray, PyArrayMethods, PyReadonlyArray3, PyReadonlyArray4};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+const BACKEND: &str = "sapien";
+
+/// What the Python package does for the command line.
+pub struct PythonHost;
+
+impl Host for PythonHost {
+    fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError> {
+        Python::attach(|py| {
+            // Imported here so that a missing package is told before anything is planned or written.
+            py.import("akrobat.sapien_backend")?.call_method0("require_sapien").map(drop)
+        })
+        .map_err(device_error)
+        .map(|_| Box::new(SapienBackend { loaded: None }) as Box<dyn Backend>)
+    }
+}
+
+/// Renders with SAPIEN, which keeps the last scene it was given.
+struct SapienBackend {
+    loaded: Option<Loaded>,
+}
+
+struct Loaded {
+    bodies: Arc<[RenderBody]>,
+    lighting: Lighting,
+    cameras: Vec<CameraKey>,
+    renderer: Py<PyAny>,
+}
+
+/// What makes SAPIEN's cameras differ besides their poses: size, K, near and far plane.
+type CameraKey = (akrobat_cameras::Intrinsics, f64, f64);
+
+fn camera_key(camera: &PlacedCamera) -> CameraKey {
+    (camera.intrinsics, camera.near_m, camera.far_m)
+}
+
+impl Backend for SapienBackend {
+    fn name(&self) -> &str {
+        BACKEND
+    }
+
+    fn render(
+        &mut self,
+        scene: &RenderScene,
+        frame: &FrameState,
+        cameras: &[PlacedCamera],
+    ) -> Result<Vec<CameraFrame>, RenderError> {
+        let batch = self.render_batch(scene, &[(frame.clone(), cameras.to_vec())])?;
+        Ok(batch.into_iter().flatten().collect())
+    }
+
+    fn render_batch(
+        &mut self,
+        scene: &RenderScene,
+        frames: &[(FrameState, Vec<PlacedCamera>)],
+    ) -> Result<Vec<Vec<CameraFrame>>, RenderError> {
+        let Some((_, cameras)) = frames.first() else { return Ok(Vec::new()) };
+        Python::attach(|py| {
+            let renderer = self.renderer(py, scene, cameras)?;
+            render_batch(&renderer, frames)
+        })
+        .map_err(device_error)
+    }
+}
+
+impl SapienBackend {
+    fn renderer<'py>(
+        &mut self,
+        py: Python<'py>,
+        scene: &RenderScene,
+        cameras: &[PlacedCamera],
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let cameras: Vec<CameraKey> = cameras.iter().map(camera_key).collect();
+        let current = self.loaded.take().filter(|loaded| {
+            Arc::ptr_eq(&loaded.bodies, &scene.bodies)
+                && loaded.lighting == scene.lighting
+                && loaded.cameras == cameras
+        });
+        let loaded = match current {
+            Some(loaded) => loaded,
+            None => Loaded {
+                renderer: open_renderer(py, scene, &cameras)?.unbind(),
+                bodies: Arc::clone(&scene.bodies),
+                lighting: scene.lighting,
+                cameras,
+            },
+        };
+        let renderer = loaded.renderer.bind(py).clone();
+        self.loaded = Some(loaded);
+        Ok(renderer)
+    }
+}
+
+fn open_renderer<'py>(
+    py: Python<'py>,
+    scene: &RenderScene,
+    cameras: &[CameraKey],
+) -> PyResult<Bound<'py, PyAny>> {
+    let bodies = PyList::empty(py);
+    for body in scene.bodies.iter() {
+        let meshes = PyList::empty(py);
+        for mesh in &body.meshes {
+            meshes.append(mesh_arrays(py, mesh)?)?;
+        }
+        let entry = PyDict::new(py);
+        entry.set_item("name", &body.name)?;
+        entry.set_item("segment_id", body.segment_id)?;
+        entry.set_item("meshes", meshes)?;
+        bodies.append(entry)?;
+    }
+    let camera_list = PyList::empty(py);
+    for (intrinsics, near_m, far_m) in cameras {
+        let entry = PyDict::new(py);
+        entry.set_item("width", intrinsics.width)?;
+        entry.set_item("height", intrinsics.height)?;
+        entry.set_item("K", intrinsics.matrix())?;
+        entry.set_item("near_m", near_m)?;
+        entry.set_item("far_m", far_m)?;
+        camera_list.append(entry)?;
+    }
+    let lighting = PyDict::new(py);
+    lighting.set_item("sun_direction", scene.lighting.sun_unit())?;
+    lighting.set_item("sun_rgb", scene.lighting.sun_rgb)?;
+    lighting.set_item("sky_rgb", scene.lighting.sky_rgb)?;
+    lighting.set_item("ground_rgb", scene.lighting.ground_rgb)?;
+    lighting.set_item("background_rgb", scene.lighting.background_rgb)?;
+    py.import("akrobat.sapien_backend")?.getattr("SapienRenderer")?.call1((
+        bodies,
+        camera_list,
+        lighting,
+    ))
+}
+
+/// A mesh as a dictionary of arrays; `normals`, `uvs` and `texture` are `None` where it has none.
+fn mesh_arrays<'py>(py: Python<'py>, mesh: &TriMesh) -> PyResult<Bound<'py, PyDict>> {
+    let entry = PyDict::new(py);
+    entry.set_item("positions", table(py, &mesh.positions)?)?;
+    entry.set_item("triangles", table(py, &mesh.triangles)?)?;
+    entry.set_item("normals", optional_table(py, &mesh.normals)?)?;
+    entry.set_item("uvs", optional_table(py, &mesh.uvs)?)?;
+    entry.set_item("base_color", mesh.material.base_color)?;
+    let texture = match &mesh.material.base_color_texture {
+        Some(image) => {
+            let shape = [image.height() as usize, image.width() as usize, 4];
+            Some(PyArray::from_slice(py, image.as_raw()).reshape(shape)?)
+        }
+        None => None,
+    };
+    entry.set_item("texture", texture)?;
+    Ok(entry)
+}
+
+fn table<'py, T: numpy::Element, const N: usize>(
+    py: Python<'py>,
+    rows: &[[T; N]],
+) -> PyResult<Bound<'py, numpy::PyArray2<T>>> {
+    PyArray::from_slice(py, rows.as_flattened()).reshape([rows.len(), N])
+}
+
+fn optional_table<'py, T: numpy::Element, const N: usize>(
+    py: Python<'py>,
+    rows: &[[T; N]],
+) -> PyResult<Option<Bound<'py, numpy::PyArray2<T>>>> {
+    if rows.is_empty() { Ok(None) } else { table(py, rows).map(Some) }
+}
+
+/// Poses as an array `[frames, N, 7]` of `x y z qw qx qy qz`.
+fn pose_array<'a, 'py>(
+    py: Python<'py>,
+    frames: usize,
+    poses: impl Iterator<Item = &'a Pose>,
+) -> PyResult<Bound<'py, numpy::PyArray3<f64>>> {
+    let values: Vec<f64> = poses.flat_map(pose::to_xyz_wxyz).collect();
+    let count = values.len() / 7 / frames;
+    PyArray::from_vec(py, values).reshape([frames, count, 7])
+}
+
+fn render_batch(
+    renderer: &Bound<'_, PyAny>,
+    frames: &[(FrameState, Vec<PlacedCamera>)],
+) -> PyResult<Vec<Vec<CameraFrame>>> {
+    let py = renderer.py();
+    let bodies = frames.iter().flat_map(|(frame, _)| &frame.world_from_body);
+    let cameras = frames.iter().flat_map(|(_, cameras)| cameras).map(|c| &c.world_from_camera);
+    let images = renderer.call_method1(
+        "render",
+        (pose_array(py, frames.len(), bodies)?, pose_array(py, frames.len(), cameras)?),
+    )?;
+    // Per camera: colours [F, H, W, 3], depths and segment ids [F, H, W].
+    type Images<'py> =
+        Vec<(PyReadonlyArray4<'py, u8>, PyReadonlyArray3<'py, f32>, PyReadonlyArray3<'py, u16>)>;
+    let images: Images<'_> = images.extract()?;
+    let mut batch: Vec<Vec<CameraFrame>> = Vec::with_capacity(frames.len());
+    for (number, (_, cameras)) in frames.iter().enumerate() {
+        let mut shot = Vec::with_capacity(cameras.len());
+        for (camera, (rgb, depth_m, segmentation)) in cameras.iter().zip(&images) {
+            let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
+            shot.push(CameraFrame {
+                name: camera.name.clone(),
+                intrinsics: camera.intrinsics,
+                world_from_camera: camera.world_from_camera,
+                rgb: rgb.as_slice()?[number * pixels * 3..][..pixels * 3].to_vec(),
+                depth_m: depth_m.as_slice()?[number * pixels..][..pixels].to_vec(),
+                segmentation: segmentation.as_slice()?[number * pixels..][..pixels].to_vec(),
+            });
+        }
+        batch.push(shot);
+    }
+    Ok(batch)
+}
+
+fn device_error(error: PyErr) -> RenderError {
+    RenderError::Device { backend: BACKEND, message: error.to_string() }
+}

@@ -1,0 +1,106 @@
+//! The command line: one file per verb.
+
+mod schema;
+
+use std::ffi::OsString;
+use std::io::Write;
+
+use clap::{Parser, Subcommand};
+
+use crate::progress::{Progress, Verbosity};
+use crate::{CancelToken, Error, ExitCode, Host};
+
+/// Makes robot-learning datasets of whole-body mobile manipulation: plans trajectories for a task,
+/// renders them with any cameras, and writes dataset files.
+#[derive(Debug, Parser)]
+#[command(name = "akrobat", version, arg_required_else_help = true, propagate_version = true)]
+#[command(
+    after_help = "Exit codes: 0 done, 1 failed, 2 wrong usage or input, 3 finished but something was lost."
+)]
+struct Cli {
+    /// Print one JSON document on stdout instead of text.
+    #[arg(long, global = true)]
+    json: bool,
+    /// No progress bars, no warnings.
+    #[arg(long, short, global = true)]
+    quiet: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Schema(schema::SchemaArgs),
+}
+
+/// What a verb works with besides its own arguments.
+pub struct Context<'a> {
+    /// What needs Python, where Python is there.
+    pub host: Option<&'a dyn Host>,
+    /// Takes the stages' reports, and knows whether the user wants to stop.
+    pub observer: &'a Progress,
+}
+
+/// What a verb has to say at its end.
+#[derive(Debug)]
+pub struct Report {
+    /// For people.
+    pub text: String,
+    /// For machines (`--json`).
+    pub json: serde_json::Value,
+    /// How it ended.
+    pub exit_code: ExitCode,
+}
+
+impl Report {
+    /// A report of success.
+    pub fn done(text: impl Into<String>, json: serde_json::Value) -> Self {
+        Self { text: text.into(), json, exit_code: ExitCode::Done }
+    }
+}
+
+/// Runs the command line `argv` (the program's name first) and returns its exit code. `host` does
+/// what needs Python; once `cancel` is set, the stages stop and leave only whole files.
+pub fn run<A: Into<OsString> + Clone>(
+    argv: impl IntoIterator<Item = A>,
+    host: Option<&dyn Host>,
+    cancel: &CancelToken,
+) -> i32 {
+    let cli = match Cli::try_parse_from(argv) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Fails only where the terminal is gone, and then there is nobody to tell.
+            let _ = error.print();
+            return error.exit_code();
+        }
+    };
+    let verbosity = match (cli.quiet, cli.json) {
+        (true, _) => Verbosity::Quiet,
+        (false, true) => Verbosity::WarningsOnly,
+        (false, false) => Verbosity::Normal,
+    };
+    let observer = Progress::new(cancel.clone(), verbosity);
+    let outcome = dispatch(&cli.command, &Context { host, observer: &observer });
+    finish(outcome, cli.json) as i32
+}
+
+fn dispatch(command: &Command, _context: &Context<'_>) -> Result<Report, Error> {
+    match command {
+        Command::Schema(args) => schema::run(args),
+    }
+}
+
+fn finish(outcome: Result<Report, Error>, json: bool) -> ExitCode {
+    let report = outcome.unwrap_or_else(|error| {
+        eprintln!("error: {error}");
+        let exit_code = error.exit_code();
+        let json = serde_json::json!({ "error": error.to_string(), "exit_code": exit_code as i32 });
+        Report { text: String::new(), json, exit_code }
+    });
+    let text = if json { format!("{:#}", report.json) } else { report.text };
+    if !text.is_empty() {
+        // Whoever reads the pipe may have left, which is no failure of ours.
+        let _ = writeln!(std::io::stdout(), "{text}");
+    }
+    report.exit_code
+}

@@ -1,0 +1,14 @@
+//! What only Python can do, behind one trait that the Python package implements and hands in.
+
+use akrobat_renderer::{Backend, RenderError};
+
+/// Work that needs Python. The pure binary has no host and says which command to run instead.
+///
+/// A host is called per batch of frames or per episode, never per frame.
+pub trait Host: Sync {
+    /// A renderer that draws with SAPIEN.
+    ///
+    /// # Errors
+    /// [`RenderError::Device`] where SAPIEN is not installed or finds no usable Vulkan driver.
+    fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError>;
+}

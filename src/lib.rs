@@ -1,0 +1,14 @@
+//! Akrobat on the command line: one verb per job, composed from the stages' crates.
+//!
+//! [`run`] is the whole command line; the `akrobat` binary and the Python package both call it.
+
+pub mod cancel;
+pub mod cli;
+pub mod error;
+pub mod host;
+pub mod progress;
+
+pub use cancel::CancelToken;
+pub use cli::run;
+pub use error::{Error, ExitCode};
+pub use host::Host;
