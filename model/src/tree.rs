@@ -184,6 +184,44 @@ impl KinematicTree {
         Ok(Self { root: roots[0], name, links, joints, order, dof_joints, column, parent_joint })
     }
 
+    /// This tree with another bolted on: a fixed joint named `<other's root>_mount` holds the root
+    /// of `other` at `link_from_other` in `link`. Links and joints of this tree keep their indices.
+    ///
+    /// # Errors
+    /// Where the two share a link or joint name.
+    pub fn attach(
+        self,
+        link: usize,
+        link_from_other: Pose,
+        other: Self,
+    ) -> Result<Self, ModelError> {
+        let (first_link, first_joint) = (self.links.len(), self.joints.len());
+        let mount = Joint {
+            name: format!("{}_mount", other.links[other.root].name),
+            kind: JointKind::Fixed,
+            parent: link,
+            child: first_link + other.root,
+            parent_from_joint: link_from_other,
+            axis: Vector3::x_axis(),
+            limits: [0.0, 0.0],
+            velocity_limit: None,
+            effort_limit: None,
+            damping: 0.0,
+            friction: 0.0,
+            mimic: None,
+        };
+        let moved = other.joints.into_iter().map(|mut joint| {
+            joint.parent += first_link;
+            joint.child += first_link;
+            joint.mimic =
+                joint.mimic.map(|mimic| Mimic { joint: mimic.joint + first_joint, ..mimic });
+            joint
+        });
+        let joints = self.joints.into_iter().chain(moved).chain([mount]).collect();
+        let links = self.links.into_iter().chain(other.links).collect();
+        Self::new(self.name, links, joints)
+    }
+
     /// All links.
     pub fn links(&self) -> &[Link] {
         &self.links
@@ -302,4 +340,49 @@ fn breadth_first(joints: &[Joint], root: usize) -> Vec<usize> {
         }
     }
     order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn slider(name: &str, links: [&str; 2]) -> KinematicTree {
+        let links = links.map(|name| Link { name: name.into(), ..Link::default() });
+        let joint = Joint {
+            name: format!("{name}_joint"),
+            kind: JointKind::Prismatic,
+            parent: 0,
+            child: 1,
+            parent_from_joint: Pose::translation(1.0, 0.0, 0.0),
+            axis: Vector3::y_axis(),
+            limits: [0.0, 1.0],
+            velocity_limit: None,
+            effort_limit: None,
+            damping: 0.0,
+            friction: 0.0,
+            mimic: None,
+        };
+        KinematicTree::new(name.into(), links.into(), vec![joint]).unwrap()
+    }
+
+    #[test]
+    fn an_attached_tree_moves_with_its_carrier_and_on_its_own() {
+        let arm = slider("arm", ["base", "wrist"]);
+        let gripper = slider("gripper", ["palm", "finger"]);
+        let quarter =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let wrist_from_palm = Translation3::new(0.0, 0.0, 1.0) * quarter;
+        let both = arm.attach(1, wrist_from_palm, gripper).unwrap();
+        assert_eq!(both.dof(), 2);
+        let world_from_link = both.link_poses(&Pose::identity(), &[0.25, 0.5]);
+        let finger = world_from_link[both.link_index("finger").unwrap()].translation.vector;
+        assert!((finger - Vector3::new(1.0 - 0.5, 0.25 + 1.0, 1.0)).norm() < 1e-12, "{finger}");
+    }
+
+    #[test]
+    fn attaching_a_tree_to_its_copy_is_refused() {
+        let arm = slider("arm", ["base", "wrist"]);
+        let error = arm.clone().attach(1, Pose::identity(), arm).unwrap_err().to_string();
+        assert!(error.contains("\"base\" is used twice"), "{error}");
+    }
 }
