@@ -250,7 +250,8 @@ fn each<T>(trajectories: &[Trajectory], value: impl Fn(&Trajectory) -> T) -> Vec
 
 fn write_grasps(group: &GroupWriter, trajectories: &[Trajectory]) -> Result<()> {
     let count = trajectories.len();
-    let poses: Vec<f64> = trajectories.iter().flat_map(|t| pose_row(&t.grasp.link_from_tool)).collect();
+    let poses: Vec<f64> =
+        trajectories.iter().flat_map(|t| pose_row(&t.grasp.link_from_tool)).collect();
     group.array("id", &[count], &each(trajectories, |t| t.grasp.id))?;
     group.strings("link", &each(trajectories, |t| t.grasp.link.clone()))?;
     let pose = group.array("pose", &[count, 7], &poses)?;
@@ -286,7 +287,12 @@ fn read_grasps(file: &H5Reader, count: usize) -> Result<Vec<Grasp>> {
         let row = &poses[index * 7..][..7];
         let link_from_tool = pose_from_row(row).ok_or_else(|| {
             let item = format!("grasp/pose row {index}");
-            PackError::content(file.path(), item, "a position and a unit quaternion", format!("{row:?}"))
+            PackError::content(
+                file.path(),
+                item,
+                "a position and a unit quaternion",
+                format!("{row:?}"),
+            )
         })?;
         Ok(Grasp { id: ids[index], link, link_from_tool, width_m: widths[index] })
     };
@@ -303,14 +309,18 @@ fn write_waypoints(
     let object = concatenated(trajectories, |t| &t.waypoints_object);
     group.array("robot", &[count, waypoints, columns.robot], &robot)?;
     group.array("object", &[count, waypoints, columns.object], &object)?;
-    let interval = group.array("interval", &[count], &each(trajectories, |t| t.waypoint_interval_s))?;
+    let interval =
+        group.array("interval", &[count], &each(trajectories, |t| t.waypoint_interval_s))?;
     group.dataset_attr_str(&interval, "unit", "s")?;
     group.array("dense_start", &[count], &each(trajectories, |t| t.manipulation_start))?;
     group.array("dense_substeps", &[count], &each(trajectories, |t| t.substeps))?;
     Ok(())
 }
 
-fn concatenated(trajectories: &[Trajectory], table: impl Fn(&Trajectory) -> &JointPath) -> Vec<f32> {
+fn concatenated(
+    trajectories: &[Trajectory],
+    table: impl Fn(&Trajectory) -> &JointPath,
+) -> Vec<f32> {
     trajectories.iter().flat_map(|t| table(t).values()).copied().collect()
 }
 
@@ -357,7 +367,8 @@ fn write_dense(
     for trajectory in trajectories {
         offset.push(offset.last().unwrap_or(&0) + trajectory.dense.len() as u64);
     }
-    let times: Vec<f64> = trajectories.iter().flat_map(|t| t.dense.times_s.iter().copied()).collect();
+    let times: Vec<f64> =
+        trajectories.iter().flat_map(|t| t.dense.times_s.iter().copied()).collect();
     let phase: Vec<u8> =
         trajectories.iter().flat_map(|t| t.dense.phase.iter().map(|&p| p as u8)).collect();
     let (samples, columns) = (times.len(), dimensions.columns);
@@ -477,6 +488,11 @@ fn rejection_of(file: &H5Reader, name: &str) -> Result<Option<Rejection>> {
     let found = Rejection::ALL.into_iter().find(|r| r.name() == name);
     found.map(Some).ok_or_else(|| {
         let names = Rejection::ALL.map(Rejection::name).join(", ");
-        PackError::content(file.path(), "verdict/rejection", format!("nothing or one of {names}"), name)
+        PackError::content(
+            file.path(),
+            "verdict/rejection",
+            format!("nothing or one of {names}"),
+            name,
+        )
     })
 }

@@ -1,5 +1,5 @@
-//! HDF5 files as this project writes them: old enough a format for `h5dump` 1.10, no object times,
-//! checksummed chunks, and errors that name file and dataset.
+//! HDF5 files as this project writes them: format 1.10, no object times, checksummed metadata and
+//! chunks, and errors that name file and dataset.
 
 mod read;
 mod write;

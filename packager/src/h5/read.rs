@@ -73,11 +73,13 @@ impl H5Reader {
     ) -> Result<(Vec<T>, Vec<usize>)> {
         let dataset = self.dataset(name)?;
         let shape = self.checked_shape(name, &dataset, expected)?;
+        self.check_type::<T>(name, &dataset)?;
         self.check_storage::<T>(name, &dataset, &shape)?;
         if shape.contains(&0) {
             return Ok((Vec::new(), shape));
         }
-        Ok((self.values(name, &dataset)?, shape))
+        let values = dataset.read_raw().map_err(|e| read_error(&self.path, name, &e))?;
+        Ok((values, shape))
     }
 
     /// Texts of a one-dimensional dataset.
@@ -128,12 +130,13 @@ impl H5Reader {
         let attr = owner.attr(name).map_err(|_| {
             PackError::content(&self.path, &item, "an attribute", "no such attribute")
         })?;
+        self.check_type::<T>(&item, &attr)?;
         let shape = attr.get_shape().map_err(|e| read_error(&self.path, &item, &e))?;
         self.check_bytes::<T>(&item, &shape, self.file_bytes)?;
         if shape.contains(&0) {
             return Ok((Vec::new(), item));
         }
-        let values = self.values(&item, &attr)?;
+        let values = attr.read_raw().map_err(|e| read_error(&self.path, &item, &e))?;
         Ok((values, item))
     }
 
@@ -179,18 +182,17 @@ impl H5Reader {
         }
     }
 
-    fn values<T: H5Type>(&self, item: &str, container: &Container) -> Result<Vec<T>> {
-        let is_type = container.dtype().is_ok_and(|dtype| dtype.is::<T>());
-        if !is_type {
-            let got = container.dtype().and_then(|d| d.to_descriptor());
-            return Err(PackError::content(
-                &self.path,
-                item,
-                format!("type {}", T::type_descriptor()),
-                got.map_or("another type".into(), |t| format!("type {t}")),
-            ));
+    fn check_type<T: H5Type>(&self, item: &str, container: &Container) -> Result<()> {
+        let dtype = container.dtype().map_err(|e| read_error(&self.path, item, &e))?;
+        if dtype.is::<T>() {
+            return Ok(());
         }
-        container.as_reader().no_convert().read_raw().map_err(|e| read_error(&self.path, item, &e))
+        Err(PackError::content(
+            &self.path,
+            item,
+            format!("type {}", T::type_descriptor()),
+            dtype.to_descriptor().map_or("another type".into(), |t| format!("type {t}")),
+        ))
     }
 
     fn text(&self, item: &str, value: &VarLenUnicode) -> Result<String> {

@@ -36,7 +36,8 @@ impl H5Writer {
         let partial = PartialFile::create(path)?;
         let file = File::with_options()
             .with_fapl(|fapl| {
-                fapl.libver_bounds(LibraryVersion::Earliest, LibraryVersion::V110)
+                // Format 1.10 is the oldest whose metadata is checksummed throughout.
+                fapl.libver_bounds(LibraryVersion::V110, LibraryVersion::V110)
                     .fclose_degree(FileCloseDegree::Strong)
             })
             .with_fcpl(|fcpl| fcpl.obj_track_times(false))
@@ -148,7 +149,8 @@ impl GroupWriter {
 
     /// Strings of any length; they carry no checksum, as HDF5 has none for them.
     pub fn strings<S: AsRef<str>>(&self, name: &str, values: &[S]) -> Result<Dataset> {
-        let values = values.iter().map(|v| self.string(name, v.as_ref())).collect::<Result<Vec<_>>>()?;
+        let values =
+            values.iter().map(|v| self.string(name, v.as_ref())).collect::<Result<Vec<_>>>()?;
         let dataset = self.unfiltered::<VarLenUnicode>(name, &[values.len()])?;
         if !values.is_empty() {
             dataset.write_raw(&values).map_err(self.error(name))?;
@@ -189,7 +191,8 @@ impl GroupWriter {
 
     /// An attribute of the group that is a list of texts.
     pub fn attr_strings<S: AsRef<str>>(&self, name: &str, values: &[S]) -> Result<()> {
-        let values = values.iter().map(|v| self.string(name, v.as_ref())).collect::<Result<Vec<_>>>()?;
+        let values =
+            values.iter().map(|v| self.string(name, v.as_ref())).collect::<Result<Vec<_>>>()?;
         self.attr_list(name, &values)
     }
 
