@@ -12,7 +12,6 @@ mod shader;
 
 pub use adapter::{AdapterChoice, AdapterDescription, AdapterKind, adapters};
 pub use buffer::{Readback, StorageBuffer};
-pub use bytemuck;
 pub use context::Context;
 pub use error::GpuError;
 pub use shader::{Shader, ShaderPart};

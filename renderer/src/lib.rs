@@ -4,7 +4,10 @@
 //! and a [`Backend`] turns both into images. Every backend follows the image model of [`scene`].
 
 pub mod backend;
+pub mod compare;
 pub mod error;
+#[cfg(feature = "wgpu")]
+pub mod raster;
 pub mod replay;
 pub mod scene;
 

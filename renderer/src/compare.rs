@@ -1,0 +1,323 @@
+//! How well two renderings of the same frame agree.
+//!
+//! The definitions, for whoever repeats them elsewhere:
+//!
+//! - A pixel is **inner** where its 3 x 3 neighbourhood lies within the image, carries one segment id in
+//!   the *reference* segmentation, and is smooth in the reference depth: either nothing is seen in all
+//!   nine pixels, or each of the four lines through the centre (horizontal, vertical, both diagonals)
+//!   with depths `a, c, b` (`c` in the centre) satisfies `|c^2 (1/a + 1/b - 2/c)| <= 0.005 m`.
+//!   Inverse depth is affine in pixel coordinates on every plane, so planes are smooth however steeply they
+//!   are seen, while depth steps and sharp edges are not. All other pixels lie on **silhouettes**.
+//! - **Depth agreement** is the share, of the inner pixels where either image sees anything, in which both do
+//!   and the depths differ by at most the tolerance.
+//! - **Intersection over union** of a segment id is taken over all pixels of the image, silhouettes
+//!   included, for each id that covers at least 500 pixels of either image.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use akrobat_cameras::CameraFrame;
+
+/// Largest deviation from a plane that counts as smooth, metres.
+const SMOOTH_M: f64 = 0.005;
+
+/// What two renderings must reach to count as the same image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tolerance {
+    /// Largest depth difference of an agreeing pixel, metres.
+    pub depth_m: f64,
+    /// Least share of inner pixels whose depth agrees.
+    pub depth_agreement: f64,
+    /// Least share of all pixels that must be inner, so that the mask cannot hide the differences.
+    pub inner: f64,
+    /// Intersection over union that every large segment must exceed.
+    pub segment_iou: f64,
+    /// Pixels a segment must cover to be judged.
+    pub segment_pixels: usize,
+}
+
+impl Default for Tolerance {
+    fn default() -> Self {
+        Self {
+            depth_m: 0.002,
+            depth_agreement: 0.99,
+            inner: 0.85,
+            segment_iou: 0.97,
+            segment_pixels: 500,
+        }
+    }
+}
+
+/// How one segment id agrees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SegmentAgreement {
+    /// The id.
+    pub id: u16,
+    /// Pixels in the reference.
+    pub reference_pixels: usize,
+    /// Pixels in the other image.
+    pub other_pixels: usize,
+    /// Intersection over union.
+    pub iou: f64,
+}
+
+/// How two images agree.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    /// Camera name.
+    pub camera: String,
+    /// Share of all pixels that are inner.
+    pub inner: f64,
+    /// Inner pixels where either image sees anything.
+    pub seen_pixels: usize,
+    /// Share of those whose depth agrees; 1 where there are none.
+    pub depth_agreement: f64,
+    /// 99th percentile of the depth difference where both images see something, metres.
+    pub depth_p99_m: f64,
+    /// Largest difference of a colour channel on inner pixels where both images agree in segment, levels.
+    pub color_p99: u8,
+    /// Segments of at least the tolerance's pixels in either image.
+    pub segments: Vec<SegmentAgreement>,
+}
+
+impl Comparison {
+    /// Compares `other` with `reference`.
+    ///
+    /// # Panics
+    /// Where the images are not of the same size.
+    pub fn new(reference: &CameraFrame, other: &CameraFrame, tolerance: &Tolerance) -> Self {
+        assert_eq!(reference.depth_m.len(), other.depth_m.len(), "images of different size");
+        let inner = inner_pixels(reference);
+        let mut differences = Vec::new();
+        let mut color_differences = Vec::new();
+        let (mut seen_pixels, mut agreeing) = (0, 0);
+        for pixel in (0..inner.len()).filter(|&pixel| inner[pixel]) {
+            let (a, b) = (f64::from(reference.depth_m[pixel]), f64::from(other.depth_m[pixel]));
+            if a == 0.0 && b == 0.0 {
+                continue;
+            }
+            seen_pixels += 1;
+            if a != 0.0 && b != 0.0 {
+                differences.push((a - b).abs());
+                agreeing += usize::from((a - b).abs() <= tolerance.depth_m);
+            }
+            if reference.segmentation[pixel] == other.segmentation[pixel] {
+                let levels = 3 * pixel..3 * pixel + 3;
+                let pairs = reference.rgb[levels.clone()].iter().zip(&other.rgb[levels]);
+                color_differences.push(pairs.map(|(x, y)| x.abs_diff(*y)).max().unwrap_or(0));
+            }
+        }
+        differences.sort_by(f64::total_cmp);
+        color_differences.sort_unstable();
+        Self {
+            camera: reference.name.clone(),
+            inner: share(inner.iter().filter(|&&is_inner| is_inner).count(), inner.len()),
+            seen_pixels,
+            depth_agreement: share(agreeing, seen_pixels),
+            depth_p99_m: percentile_99(&differences).unwrap_or(0.0),
+            color_p99: percentile_99(&color_differences).unwrap_or(0),
+            segments: segment_agreements(reference, other, tolerance.segment_pixels),
+        }
+    }
+
+    /// The first demand of `tolerance` that is not met, in words.
+    pub fn violation(&self, tolerance: &Tolerance) -> Option<String> {
+        if self.inner < tolerance.inner {
+            return Some(format!(
+                "only {:.1}% of the pixels lie away from silhouettes, at least {:.1}% must",
+                100.0 * self.inner,
+                100.0 * tolerance.inner
+            ));
+        }
+        if self.depth_agreement < tolerance.depth_agreement {
+            return Some(format!(
+                "depth agrees within {} m in {:.2}% of {} pixels, at least {:.2}% must",
+                tolerance.depth_m,
+                100.0 * self.depth_agreement,
+                self.seen_pixels,
+                100.0 * tolerance.depth_agreement
+            ));
+        }
+        let worst = self.segments.iter().min_by(|a, b| a.iou.total_cmp(&b.iou))?;
+        (worst.iou <= tolerance.segment_iou).then(|| {
+            format!(
+                "segment {} has an intersection over union of {:.4}, which must exceed {}",
+                worst.id, worst.iou, tolerance.segment_iou
+            )
+        })
+    }
+}
+
+impl fmt::Display for Comparison {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let worst = self.segments.iter().map(|segment| segment.iou).fold(1.0, f64::min);
+        write!(
+            f,
+            "{}: {:.1}% inner pixels, depth agrees in {:.3}% of {} (99th percentile {:.2e} m), worst \
+             IoU of {} segments {worst:.4}, 99th percentile of the colour difference {} levels",
+            self.camera,
+            100.0 * self.inner,
+            100.0 * self.depth_agreement,
+            self.seen_pixels,
+            self.depth_p99_m,
+            self.segments.len(),
+            self.color_p99
+        )
+    }
+}
+
+/// Which pixels lie away from silhouettes; see the module's definition.
+pub fn inner_pixels(reference: &CameraFrame) -> Vec<bool> {
+    let (width, height) =
+        (reference.intrinsics.width as usize, reference.intrinsics.height as usize);
+    let mut inner = vec![false; width * height];
+    for row in 1..height.saturating_sub(1) {
+        for column in 1..width.saturating_sub(1) {
+            let center = row * width + column;
+            inner[center] =
+                one_segment(reference, center, width) && smooth(reference, center, width);
+        }
+    }
+    inner
+}
+
+fn one_segment(frame: &CameraFrame, center: usize, width: usize) -> bool {
+    let id = frame.segmentation[center];
+    [center - width, center, center + width]
+        .iter()
+        .all(|&middle| frame.segmentation[middle - 1..=middle + 1].iter().all(|&other| other == id))
+}
+
+fn smooth(frame: &CameraFrame, center: usize, width: usize) -> bool {
+    let depth = |pixel: usize| f64::from(frame.depth_m[pixel]);
+    let c = depth(center);
+    [1, width, width + 1, width - 1].iter().all(|&step| {
+        let (a, b) = (depth(center - step), depth(center + step));
+        if a == 0.0 || b == 0.0 || c == 0.0 {
+            return a == b && b == c;
+        }
+        (c * c * (1.0 / a + 1.0 / b - 2.0 / c)).abs() <= SMOOTH_M
+    })
+}
+
+fn segment_agreements(
+    reference: &CameraFrame,
+    other: &CameraFrame,
+    least_pixels: usize,
+) -> Vec<SegmentAgreement> {
+    // Pixels in the reference, in the other image, and in both, by id.
+    let mut counts: BTreeMap<u16, [usize; 3]> = BTreeMap::new();
+    for (&a, &b) in reference.segmentation.iter().zip(&other.segmentation) {
+        counts.entry(a).or_default()[0] += 1;
+        counts.entry(b).or_default()[1] += 1;
+        counts.entry(a).or_default()[2] += usize::from(a == b);
+    }
+    counts
+        .into_iter()
+        .filter(|(id, [in_reference, in_other, _])| {
+            *id != 0 && (*in_reference).max(*in_other) >= least_pixels
+        })
+        .map(|(id, [reference_pixels, other_pixels, in_both])| SegmentAgreement {
+            id,
+            reference_pixels,
+            other_pixels,
+            iou: share(in_both, reference_pixels + other_pixels - in_both),
+        })
+        .collect()
+}
+
+/// `part / whole`; 1 for an empty whole.
+fn share(part: usize, whole: usize) -> f64 {
+    if whole == 0 { 1.0 } else { part as f64 / whole as f64 }
+}
+
+fn percentile_99<T: Copy>(sorted: &[T]) -> Option<T> {
+    sorted.get(sorted.len().checked_sub(1)? * 99 / 100).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use akrobat_cameras::Intrinsics;
+    use akrobat_model::Pose;
+
+    use super::*;
+
+    const WIDTH: u32 = 64;
+    const HEIGHT: u32 = 48;
+
+    /// An image whose pixels are given by column and row as depth and segment id.
+    fn frame(pixel: impl Fn(u32, u32) -> (f64, u16)) -> CameraFrame {
+        let pixels: Vec<_> = (0..HEIGHT)
+            .flat_map(|v| (0..WIDTH).map(move |u| (u, v)))
+            .map(|(u, v)| pixel(u, v))
+            .collect();
+        CameraFrame {
+            name: "test".into(),
+            intrinsics: Intrinsics::from_horizontal_fov(WIDTH, HEIGHT, 1.0),
+            world_from_camera: Pose::identity(),
+            rgb: vec![0; 3 * pixels.len()],
+            depth_m: pixels.iter().map(|p| p.0 as f32).collect(),
+            segmentation: pixels.iter().map(|p| p.1).collect(),
+        }
+    }
+
+    /// Depth of a floor one metre below a camera that looks ahead, seen down to grazing rays.
+    fn floor(v: u32) -> f64 {
+        f64::from(WIDTH) / (f64::from(v) + 1.5)
+    }
+
+    fn compare(reference: &CameraFrame, other: &CameraFrame) -> Comparison {
+        Comparison::new(reference, other, &Tolerance::default())
+    }
+
+    #[test]
+    fn a_grazing_plane_is_inner_up_to_the_border() {
+        let inner = inner_pixels(&frame(|_, v| (floor(v), 1)));
+        let count = inner.iter().filter(|&&is_inner| is_inner).count();
+        assert_eq!(count as u32, (WIDTH - 2) * (HEIGHT - 2));
+    }
+
+    #[test]
+    fn depth_steps_and_segment_borders_are_silhouettes() {
+        let inner = inner_pixels(&frame(|u, _| (if u < 20 { 1.0 } else { 1.02 }, 1)));
+        let row = |u: usize| inner[10 * WIDTH as usize + u];
+        assert_eq!([18, 19, 20, 21].map(row), [true, false, false, true]);
+        let inner = inner_pixels(&frame(|u, _| (1.0, if u < 20 { 1 } else { 2 })));
+        let row = |u: usize| inner[10 * WIDTH as usize + u];
+        assert_eq!([18, 19, 20, 21].map(row), [true, false, false, true]);
+    }
+
+    #[test]
+    fn equal_images_agree() {
+        let image = frame(|u, v| (floor(v), if u < 30 { 1 } else { 2 }));
+        let comparison = compare(&image, &image);
+        assert_eq!(comparison.violation(&Tolerance::default()), None, "{comparison}");
+        assert_eq!(comparison.segments.len(), 2);
+    }
+
+    #[test]
+    fn each_demand_can_be_violated() {
+        let wall = |depth: f64| frame(move |_, _| (depth, 1));
+        let violation = |a: &CameraFrame, b: &CameraFrame| {
+            compare(a, b).violation(&Tolerance::default()).expect("a violation")
+        };
+        assert!(violation(&wall(1.0), &wall(1.003)).contains("depth agrees"));
+        assert!(violation(&wall(1.0), &frame(|_, _| (0.0, 0))).contains("depth agrees"));
+        assert!(violation(&frame(|_, _| (0.0, 0)), &wall(1.0)).contains("depth agrees"));
+        let noise = frame(|u, v| (1.0, 1 + ((u + v) % 2) as u16));
+        assert!(violation(&noise, &noise).contains("silhouettes"));
+        let halves = |at: u32| frame(move |u, _| (1.0, if u < at { 1 } else { 2 }));
+        assert!(violation(&halves(32), &halves(34)).contains("intersection over union"));
+    }
+
+    #[test]
+    fn background_does_not_count_as_agreeing_depth() {
+        let patch = |depth: f64| {
+            frame(move |u, v| {
+                if (10..14).contains(&u) && (10..14).contains(&v) { (depth, 1) } else { (0.0, 0) }
+            })
+        };
+        let comparison = compare(&patch(1.0), &patch(1.1));
+        assert_eq!(comparison.depth_agreement, 0.0, "{comparison}");
+    }
+}
