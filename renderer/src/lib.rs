@@ -4,14 +4,18 @@
 //! and a [`Backend`] turns both into images. Every backend follows the image model of [`scene`].
 
 pub mod backend;
+mod clusters;
 pub mod compare;
 pub mod error;
 #[cfg(feature = "wgpu")]
 pub mod raster;
 pub mod replay;
 pub mod scene;
+pub mod soft;
+mod srgb;
 
 pub use backend::{Backend, PlacedCamera};
 pub use error::RenderError;
 pub use replay::FrameState;
 pub use scene::{BodyGroup, Lighting, RenderBody, RenderScene};
+pub use soft::SoftBackend;

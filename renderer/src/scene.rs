@@ -23,7 +23,7 @@
 //! function (IEC 61966-2-1) and rounded to the nearest of 256 levels.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use akrobat_cameras::SegmentLabel;
 use akrobat_model::task::Task;
@@ -32,6 +32,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::RenderError;
+use crate::clusters::ClusteredScene;
 
 /// Which part of the world a body belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -124,6 +125,8 @@ pub struct RenderScene {
     pub bodies: Arc<[RenderBody]>,
     /// Light and background; free to change between frames.
     pub lighting: Lighting,
+    /// The bodies' meshes in clusters, made when they are first needed and shared by clones.
+    clusters: Arc<OnceLock<ClusteredScene>>,
 }
 
 impl RenderScene {
@@ -170,7 +173,9 @@ impl RenderScene {
                 Some(RenderBody { group, name, class, segment_id, index, meshes })
             });
         match numbered.collect::<Option<Arc<[RenderBody]>>>() {
-            Some(bodies) => Ok(Self { name, bodies, lighting: Lighting::default() }),
+            Some(bodies) => {
+                Ok(Self { name, bodies, lighting: Lighting::default(), clusters: Arc::default() })
+            }
             None => Err(RenderError::Scene {
                 scene: name,
                 message: format!("{count} bodies, but segment ids reach only to {}", u16::MAX),
@@ -187,6 +192,11 @@ impl RenderScene {
             class: body.class.clone(),
         };
         self.bodies.iter().map(label).collect()
+    }
+
+    /// The meshes in clusters.
+    pub(crate) fn clusters(&self) -> &ClusteredScene {
+        self.clusters.get_or_init(|| ClusteredScene::new(&self.bodies))
     }
 
     /// Number of triangles.

@@ -1,0 +1,314 @@
+//! One triangle into the visibility buffers.
+
+use super::view::SUBPIXELS;
+
+/// Corners on the fixed-point grid.
+pub(super) type GridTriangle = [[i32; 2]; 3];
+
+/// Inverse depth over the image: `a u + b v + c` at pixel `(u, v)`, kept within what the corners have.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct InverseDepth {
+    pub a: f64,
+    pub b: f64,
+    pub c: f64,
+    pub smallest: f32,
+    pub largest: f32,
+}
+
+/// Where triangles are drawn: inverse depth and triangle id per pixel.
+pub(super) struct Target<'a> {
+    pub width: i32,
+    pub height: i32,
+    pub stride: usize,
+    pub inverse_depth: &'a mut [f32],
+    pub triangle: &'a mut [u32],
+}
+
+/// Pixels `[x0, y0, x1, y1]` (inclusive) whose centres lie in the triangle's bounding box.
+#[inline(always)]
+pub(super) fn pixel_box(corners: &GridTriangle, width: i32, height: i32) -> Option<[i32; 4]> {
+    let range = |axis: usize, pixels: i32| {
+        let [a, b, c] = [corners[0][axis], corners[1][axis], corners[2][axis]];
+        let first = (a.min(b).min(c) + SUBPIXELS / 2 - 1) >> SUBPIXELS.ilog2();
+        let last = (a.max(b).max(c) - SUBPIXELS / 2) >> SUBPIXELS.ilog2();
+        (first.max(0), last.min(pixels - 1))
+    };
+    let (x0, x1) = range(0, width);
+    let (y0, y1) = range(1, height);
+    (x0 <= x1 && y0 <= y1).then_some([x0, y0, x1, y1])
+}
+
+/// `step_x u + step_y v + at_origin >= 0` at the pixels on the inner side of an edge.
+#[derive(Clone, Copy)]
+struct Edge {
+    step_x: i64,
+    step_y: i64,
+    at_origin: i64,
+}
+
+impl Edge {
+    /// The edge from `p` to `q` of a triangle with positive area (clockwise on the screen, y down).
+    /// Points exactly on it belong to it if it is a top edge (horizontal, interior below) or a left edge.
+    #[inline(always)]
+    fn new(p: [i32; 2], q: [i32; 2]) -> Self {
+        let [px, py] = p.map(i64::from);
+        let [qx, qy] = q.map(i64::from);
+        let (dx, dy) = (qx - px, qy - py);
+        let owns_points_on_it = dy < 0 || (dy == 0 && dx > 0);
+        let half = i64::from(SUBPIXELS / 2);
+        Self {
+            step_x: -dy * i64::from(SUBPIXELS),
+            step_y: dx * i64::from(SUBPIXELS),
+            at_origin: dx * (half - py) - dy * (half - px) - i64::from(!owns_points_on_it),
+        }
+    }
+
+    #[inline(always)]
+    fn at(&self, x: i32, y: i32) -> i64 {
+        self.step_x * i64::from(x) + self.step_y * i64::from(y) + self.at_origin
+    }
+
+    /// Narrows `[from, to]` to the pixels of row `y` on the inner side.
+    #[inline(always)]
+    fn narrow(&self, y: i32, inverse_step_x: f64, from: &mut i32, to: &mut i32) {
+        let offset = self.step_y * i64::from(y) + self.at_origin;
+        if self.step_x == 0 {
+            if offset < 0 {
+                *to = *from - 1;
+            }
+            return;
+        }
+        // The quotient in floating point is right to within one pixel; the integers then decide.
+        let crossing = (-(offset as f64) * inverse_step_x).clamp(-1e6, 1e6);
+        if self.step_x > 0 {
+            let mut first = crossing.ceil() as i32;
+            if self.at(first - 1, y) >= 0 {
+                first -= 1;
+            } else if self.at(first, y) < 0 {
+                first += 1;
+            }
+            *from = (*from).max(first);
+        } else {
+            let mut last = crossing.floor() as i32;
+            if self.at(last + 1, y) >= 0 {
+                last += 1;
+            } else if self.at(last, y) < 0 {
+                last -= 1;
+            }
+            *to = (*to).min(last);
+        }
+    }
+}
+
+/// Triangles whose pixel box is at most this large are tested pixel by pixel.
+const FEW_PIXELS: i32 = 24;
+
+/// Draws `corners` with `id` at the pixels in `bounds` where it is nearer than what is there. `depth` is
+/// asked for only if the triangle is not degenerate.
+#[inline(always)]
+pub(super) fn draw(
+    target: &mut Target<'_>,
+    corners: &GridTriangle,
+    bounds: [i32; 4],
+    id: u32,
+    depth: impl FnOnce() -> Option<InverseDepth>,
+) {
+    let [p, mut q, mut r] = *corners;
+    let cross = |q: [i32; 2], r: [i32; 2]| {
+        i64::from(q[0] - p[0]) * i64::from(r[1] - p[1])
+            - i64::from(q[1] - p[1]) * i64::from(r[0] - p[0])
+    };
+    let area = cross(q, r);
+    if area == 0 {
+        return;
+    }
+    if area < 0 {
+        std::mem::swap(&mut q, &mut r);
+    }
+    let edges = [Edge::new(p, q), Edge::new(q, r), Edge::new(r, p)];
+    let [x0, y0, x1, y1] = bounds;
+    if (x1 - x0 + 1) * (y1 - y0 + 1) <= FEW_PIXELS {
+        draw_few(target, &edges, bounds, id, depth);
+    } else if let Some(depth) = depth() {
+        draw_spans(target, &edges, bounds, id, &depth);
+    }
+}
+
+#[inline(always)]
+fn draw_few(
+    target: &mut Target<'_>,
+    edges: &[Edge; 3],
+    [x0, y0, x1, y1]: [i32; 4],
+    id: u32,
+    depth: impl FnOnce() -> Option<InverseDepth>,
+) {
+    let mut ask = Some(depth);
+    let mut known = None;
+    for y in y0..=y1 {
+        let mut e = edges.map(|edge| edge.at(x0, y));
+        for x in x0..=x1 {
+            if (e[0] | e[1] | e[2]) >= 0 {
+                if let Some(ask) = ask.take() {
+                    known = ask();
+                }
+                let Some(depth) = &known else { return };
+                let value = at_pixel(depth, row_start(depth, y), x);
+                let place = y as usize * target.stride + x as usize;
+                if value > target.inverse_depth[place] {
+                    target.inverse_depth[place] = value;
+                    target.triangle[place] = id;
+                }
+            }
+            (0..3).for_each(|i| e[i] += edges[i].step_x);
+        }
+    }
+}
+
+#[inline(always)]
+fn draw_spans(
+    target: &mut Target<'_>,
+    edges: &[Edge; 3],
+    [x0, y0, x1, y1]: [i32; 4],
+    id: u32,
+    depth: &InverseDepth,
+) {
+    let inverse_steps = edges.map(|edge| 1.0 / edge.step_x as f64);
+    for y in y0..=y1 {
+        let (mut from, mut to) = (x0, x1);
+        for (edge, &inverse_step) in edges.iter().zip(&inverse_steps) {
+            edge.narrow(y, inverse_step, &mut from, &mut to);
+        }
+        if from > to {
+            continue;
+        }
+        let row = y as usize * target.stride;
+        let span = row + from as usize..row + to as usize + 1;
+        let start = row_start(depth, y);
+        let pixels = target.inverse_depth[span.clone()].iter_mut().zip(&mut target.triangle[span]);
+        for (step, (inverse_depth, triangle)) in pixels.enumerate() {
+            let value = at_pixel(depth, start, from + step as i32);
+            let nearer = value > *inverse_depth;
+            *inverse_depth = if nearer { value } else { *inverse_depth };
+            *triangle = if nearer { id } else { *triangle };
+        }
+    }
+}
+
+#[inline(always)]
+fn row_start(depth: &InverseDepth, y: i32) -> f32 {
+    (depth.b * f64::from(y) + depth.c) as f32
+}
+
+#[inline(always)]
+fn at_pixel(depth: &InverseDepth, row_start: f32, x: i32) -> f32 {
+    let value = row_start + depth.a as f32 * x as f32;
+    let value = if value < depth.largest { value } else { depth.largest };
+    if value > depth.smallest { value } else { depth.smallest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// How often each pixel is covered by triangles drawn ever nearer.
+    fn coverage(triangles: &[GridTriangle], width: i32, height: i32) -> Vec<u32> {
+        let pixels = (width * height) as usize;
+        let mut count = vec![0; pixels];
+        for corners in triangles {
+            let mut inverse_depth = vec![0.0; pixels];
+            let mut triangle = vec![0; pixels];
+            let mut target = Target {
+                width,
+                height,
+                stride: width as usize,
+                inverse_depth: &mut inverse_depth,
+                triangle: &mut triangle,
+            };
+            let flat = InverseDepth { a: 0.0, b: 0.0, c: 1.0, smallest: 1.0, largest: 1.0 };
+            if let Some(bounds) = pixel_box(corners, target.width, target.height) {
+                draw(&mut target, corners, bounds, 1, || Some(flat));
+            }
+            triangle.iter().zip(&mut count).for_each(|(&id, count)| *count += id);
+        }
+        count
+    }
+
+    /// A grid of jittered points, so that cells are convex, split along alternating diagonals.
+    fn jittered_sheet(cells: i32, cell: i32, seed: u64) -> Vec<GridTriangle> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut points = Vec::new();
+        for row in 0..=cells {
+            for column in 0..=cells {
+                let mut jitter = |at: i32| {
+                    let inner = at > 0 && at < cells;
+                    at * cell + if inner { random.random_range(-cell / 4..=cell / 4) } else { 0 }
+                };
+                let (x, y) = (jitter(column), jitter(row));
+                points.push([x, y]);
+            }
+        }
+        let at = |row: i32, column: i32| points[(row * (cells + 1) + column) as usize];
+        let mut triangles = Vec::new();
+        for row in 0..cells {
+            for column in 0..cells {
+                let [a, b] = [at(row, column), at(row, column + 1)];
+                let [c, d] = [at(row + 1, column), at(row + 1, column + 1)];
+                if (row + column) % 2 == 0 {
+                    triangles.extend([[a, b, c], [b, c, d]]);
+                } else {
+                    triangles.extend([[a, d, b], [d, c, a]]);
+                }
+            }
+        }
+        triangles
+    }
+
+    #[test]
+    fn neighbours_share_every_pixel_exactly_once() {
+        // Cells from a fifth of a pixel to 23 pixels; multiples of 128 put corners on pixel centres.
+        for (cells, cell) in [(300, 50), (100, 128), (40, 384), (12, 1280), (4, 6000)] {
+            let pixels = cells * cell / SUBPIXELS;
+            let sheet = jittered_sheet(cells, cell, 7);
+            let count = coverage(&sheet, pixels, pixels);
+            assert!(count.iter().all(|&n| n == 1), "cells of {cell}");
+            let torn = coverage(&sheet[1..], pixels, pixels);
+            assert!(cell < 128 || torn.iter().any(|&n| n == 0), "a missing triangle must show");
+        }
+    }
+
+    #[test]
+    fn spans_and_single_pixels_agree() {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        for _ in 0..500 {
+            let corners: GridTriangle =
+                std::array::from_fn(|_| std::array::from_fn(|_| random.random_range(-9000..26000)));
+            let Some(bounds) = pixel_box(&corners, 64, 64) else { continue };
+            let [p, mut q, mut r] = corners;
+            let area = i64::from(q[0] - p[0]) * i64::from(r[1] - p[1])
+                - i64::from(q[1] - p[1]) * i64::from(r[0] - p[0]);
+            if area < 0 {
+                std::mem::swap(&mut q, &mut r);
+            }
+            let edges = [Edge::new(p, q), Edge::new(q, r), Edge::new(r, p)];
+            let depth = InverseDepth { a: 0.01, b: 0.02, c: 0.5, smallest: 0.1, largest: 2.0 };
+            let images = [true, false].map(|few| {
+                let (mut inverse_depth, mut triangle) = (vec![0.0; 4096], vec![0; 4096]);
+                let mut target = Target {
+                    width: 64,
+                    height: 64,
+                    stride: 64,
+                    inverse_depth: &mut inverse_depth,
+                    triangle: &mut triangle,
+                };
+                if few {
+                    draw_few(&mut target, &edges, bounds, 1, || Some(depth));
+                } else {
+                    draw_spans(&mut target, &edges, bounds, 1, &depth);
+                }
+                (inverse_depth, triangle)
+            });
+            assert_eq!(images[0], images[1]);
+        }
+    }
+}
