@@ -1,1 +1,27 @@
-//! Placeholder.
+//! Plans whole-body mobile manipulation: task in, judged trajectories out.
+//!
+//! The stages are those of AutoMoMa (CVPR 2026): collision spheres and distance fields, grasps, the
+//! augmented kinematic representation for each grasp, batch inverse kinematics at the start and the
+//! goals, clustering, trajectory optimisation on the constraint manifold, a dense path on the
+//! constraint, and the approach before it.
+
+pub mod akr;
+pub mod approach;
+pub mod closure;
+pub mod cluster;
+pub mod collision;
+pub mod config;
+pub mod dense;
+pub mod esdf;
+pub mod grasp;
+pub mod ik;
+pub mod kinematics;
+pub mod plan;
+pub mod ptp;
+pub mod spheres;
+pub mod trajopt;
+pub mod world;
+
+pub use config::PlannerConfig;
+pub use plan::{PlanError, PlanOutcome, Preparation, plan};
+pub use spheres::{Sphere, SphereModel};

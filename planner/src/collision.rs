@@ -1,0 +1,377 @@
+//! Clearance of a robot's spheres: to the world, to the moving object and to each other.
+
+use akrobat_model::Robot;
+use nalgebra::{SMatrix, SVector, Vector3};
+use rand::{RngExt, SeedableRng};
+
+use crate::kinematics::{Kinematics, MAX_VARIABLES, NodeFrames, Variables};
+use crate::spheres::{Sphere, SphereModel};
+use crate::world::World;
+
+/// A sphere that hangs from a node.
+#[derive(Debug, Clone, Copy)]
+pub struct NodeSphere {
+    /// The node.
+    pub node: usize,
+    /// Centre in the node's frame.
+    pub center: Vector3<f64>,
+    /// Radius.
+    pub radius: f64,
+    /// Link, for reports and pair masks.
+    pub link: usize,
+    /// Moves with the base only: stands on the floor.
+    pub on_base: bool,
+    /// Moves rigidly with the tool.
+    pub on_tool: bool,
+}
+
+/// Pairs of robot links that can collide.
+pub type LinkPairs = Vec<(usize, usize)>;
+
+/// Number of random configurations that decide which pairs always touch.
+const MASK_SAMPLES: usize = 300;
+
+/// Finds the link pairs that must be checked: neither adjacent (through links without geometry and
+/// fixed joints), nor listed in the robot file, nor touching at rest or in nearly all configurations.
+pub fn self_collision_pairs(robot: &Robot, model: &SphereModel) -> LinkPairs {
+    let variables = [&robot.base_joints[..], &robot.arm_joints].concat();
+    let kinematics =
+        Kinematics::compile(&robot.tree, &robot.world_from_root, &variables, &robot.rest);
+    let by_link = |link: usize| model.spheres.iter().filter(move |s| s.link == link);
+    let links: Vec<usize> =
+        (0..robot.tree.links().len()).filter(|&l| by_link(l).next().is_some()).collect();
+    let name = |link: usize| robot.tree.links()[link].name.as_str();
+    let listed = |a: usize, b: usize| {
+        robot
+            .file
+            .self_collision_ignore
+            .iter()
+            .any(|[x, y]| (x == name(a) && y == name(b)) || (x == name(b) && y == name(a)))
+    };
+    let mut pairs: LinkPairs = Vec::new();
+    for (i, &a) in links.iter().enumerate() {
+        for &b in &links[i + 1..] {
+            let node = |l: usize| kinematics.attachment(l).node;
+            let related = node(a) == node(b) || are_neighbours(robot, &kinematics, a, b);
+            if !related && !listed(a, b) {
+                pairs.push((a, b));
+            }
+        }
+    }
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(0);
+    let mut hits = vec![0usize; pairs.len()];
+    let rest: Vec<f64> =
+        variables.iter().map(|&j| robot.tree.joint_position(j, &robot.rest)).collect();
+    for sample in 0..MASK_SAMPLES {
+        let x: Vec<f64> = (0..kinematics.dof())
+            .map(|i| {
+                let (low, high) = (kinematics.lower()[i].max(-3.2), kinematics.upper()[i].min(3.2));
+                if sample == 0 { rest[i] } else { rng.random_range(low..=high) }
+            })
+            .collect();
+        let frames = kinematics.forward(&x);
+        for (pair, hit) in pairs.iter().zip(&mut hits) {
+            let overlap = by_link(pair.0).any(|a| {
+                by_link(pair.1).any(|b| {
+                    let place = |s: &Sphere| {
+                        kinematics.link_frame(&frames, s.link).transform(&Vector3::from(s.center))
+                    };
+                    (place(a) - place(b)).norm() < a.radius + b.radius
+                })
+            });
+            if overlap {
+                *hit += if sample == 0 { MASK_SAMPLES } else { 1 };
+            }
+        }
+    }
+    let always = MASK_SAMPLES * 9 / 10;
+    let mut keep = hits.iter().map(|&h| h < always);
+    pairs.retain(|_| keep.next().unwrap_or(true));
+    pairs
+}
+
+/// True where one variable at most lies between two links.
+fn are_neighbours(robot: &Robot, kinematics: &Kinematics, a: usize, b: usize) -> bool {
+    let moved_by =
+        |l: usize| kinematics.attachment(l).node.map_or(0, |n| kinematics.nodes()[n].moved_by);
+    let fingers = |l: usize| robot.finger_links.contains(&l);
+    (moved_by(a) ^ moved_by(b)).count_ones() <= 1 || (fingers(a) && fingers(b))
+}
+
+/// Spheres and pairs, placed on one compiled tree.
+#[derive(Debug, Clone)]
+pub struct RobotBody {
+    /// All spheres, sorted by node.
+    pub spheres: Vec<NodeSphere>,
+    /// Index pairs of spheres of links that can collide, grouped by link pair.
+    groups: Vec<PairGroup>,
+    /// Bounding sphere of each link's spheres in its node's frame.
+    bounds: Vec<LinkBound>,
+}
+
+#[derive(Debug, Clone)]
+struct LinkBound {
+    node: usize,
+    center: Vector3<f64>,
+    radius: f64,
+    first: usize,
+    last: usize,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct PairGroup {
+    a: usize,
+    b: usize,
+}
+
+/// What is closest to a collision.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Clearance {
+    /// Smallest distance, metres; negative in collision.
+    pub distance_m: f64,
+    /// Link whose sphere it is.
+    pub link: usize,
+    /// What it is close to.
+    pub to: Obstacle,
+}
+
+/// Something a sphere can touch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Obstacle {
+    /// Nothing near.
+    Nothing,
+    /// The resting world.
+    Fixed,
+    /// The object's moved links.
+    Moving,
+    /// The floor.
+    Floor,
+    /// Another link of the robot.
+    Link(usize),
+}
+
+/// Which spheres are compared with the object's moved links.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MovingCheck {
+    /// All: the object is not held.
+    All,
+    /// All but those rigid with the tool, whose place on the handle the grasp has settled.
+    NotTool,
+}
+
+/// Weighted Gauss-Newton terms of a hinge cost: value, gradient and Hessian approximation.
+#[derive(Debug, Clone)]
+pub struct Penalty {
+    /// Sum of squared hinges.
+    pub cost: f64,
+    /// Gradient / 2.
+    pub gradient: SVector<f64, MAX_VARIABLES>,
+    /// Hessian / 2.
+    pub hessian: SMatrix<f64, MAX_VARIABLES, MAX_VARIABLES>,
+}
+
+impl Penalty {
+    /// Zero.
+    pub fn zero() -> Self {
+        Self { cost: 0.0, gradient: SVector::zeros(), hessian: SMatrix::zeros() }
+    }
+
+    /// Adds `hinge^2` where the residual's derivative is `row`.
+    pub fn add(&mut self, hinge: f64, row: &SVector<f64, MAX_VARIABLES>) {
+        self.cost += hinge * hinge;
+        self.gradient += row * hinge;
+        self.hessian.ger(1.0, row, row, 1.0);
+    }
+}
+
+impl RobotBody {
+    /// Places the spheres on `kinematics` (compiled from the robot's tree, or a tree whose first links
+    /// are the robot's). Spheres of links that do not move at all are dropped.
+    pub fn new(
+        robot: &Robot,
+        model: &SphereModel,
+        pairs: &LinkPairs,
+        kinematics: &Kinematics,
+    ) -> Self {
+        let tool_node = kinematics.attachment(robot.tool_link).node;
+        let base_node = robot.base_joints.len().checked_sub(1);
+        let mut spheres: Vec<NodeSphere> = Vec::new();
+        let mut bounds: Vec<(usize, LinkBound)> = Vec::new();
+        for link in 0..robot.tree.links().len() {
+            let attachment = kinematics.attachment(link);
+            let Some(node) = attachment.node else { continue };
+            let first = spheres.len();
+            for sphere in model.spheres.iter().filter(|s| s.link == link) {
+                let center = nalgebra::Point3::from(Vector3::from(sphere.center));
+                spheres.push(NodeSphere {
+                    node,
+                    center: (attachment.node_from_link * center).coords,
+                    radius: sphere.radius,
+                    link,
+                    on_base: base_node == Some(node),
+                    on_tool: tool_node == Some(node),
+                });
+            }
+            if spheres.len() > first {
+                bounds.push((link, bound(&spheres, first, node)));
+            }
+        }
+        let position = |link: usize| bounds.iter().position(|(l, _)| *l == link);
+        let groups = pairs
+            .iter()
+            .filter_map(|&(a, b)| Some(PairGroup { a: position(a)?, b: position(b)? }))
+            .collect();
+        Self { spheres, groups, bounds: bounds.into_iter().map(|(_, b)| b).collect() }
+    }
+
+    /// World centres of all spheres.
+    pub fn centers(&self, frames: &NodeFrames) -> Vec<Vector3<f64>> {
+        self.spheres.iter().map(|s| frames.frames[s.node].transform(&s.center)).collect()
+    }
+
+    /// Smallest clearance of the spheres that move with the base alone.
+    pub fn base_clearance(&self, frames: &NodeFrames, world: &World) -> f64 {
+        self.spheres
+            .iter()
+            .filter(|s| s.on_base)
+            .map(|s| world.fixed.distance(&frames.frames[s.node].transform(&s.center)) - s.radius)
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// Smallest clearance at a configuration, with the object's driven joint at `object_q`. Stops early
+    /// once something is closer than `enough`.
+    pub fn clearance(
+        &self,
+        frames: &NodeFrames,
+        world: &World,
+        object_q: f64,
+        moving: MovingCheck,
+        enough: f64,
+    ) -> Clearance {
+        let mut worst = Clearance { distance_m: f64::INFINITY, link: 0, to: Obstacle::Nothing };
+        let mut note = |distance_m: f64, link: usize, to: Obstacle| {
+            if distance_m < worst.distance_m {
+                worst = Clearance { distance_m, link, to };
+            }
+            worst.distance_m < enough
+        };
+        let world_from_moved = world.joint.world_from_moved(object_q);
+        let centers = self.centers(frames);
+        for (sphere, center) in self.spheres.iter().zip(&centers) {
+            let fixed = world.fixed.distance(center) - sphere.radius;
+            if note(fixed, sphere.link, Obstacle::Fixed) {
+                return worst;
+            }
+            let floor = center.z - sphere.radius - world.floor_z;
+            if !sphere.on_base && note(floor, sphere.link, Obstacle::Floor) {
+                return worst;
+            }
+            if moving == MovingCheck::All || !sphere.on_tool {
+                let local = world_from_moved.inverse_transform(center);
+                let distance = world.moving.distance(&local) - sphere.radius;
+                if note(distance, sphere.link, Obstacle::Moving) {
+                    return worst;
+                }
+            }
+        }
+        for (a, b, distance) in self.near_pairs(frames, &centers, enough.max(0.05)) {
+            if note(distance, self.spheres[a].link, Obstacle::Link(self.spheres[b].link)) {
+                return worst;
+            }
+        }
+        worst
+    }
+
+    /// Sphere pairs of checked link pairs whose distance is below `reach`.
+    fn near_pairs(
+        &self,
+        frames: &NodeFrames,
+        centers: &[Vector3<f64>],
+        reach: f64,
+    ) -> Vec<(usize, usize, f64)> {
+        let mut out = Vec::new();
+        for group in &self.groups {
+            let (a, b) = (&self.bounds[group.a], &self.bounds[group.b]);
+            let apart = frames.frames[a.node].transform(&a.center)
+                - frames.frames[b.node].transform(&b.center);
+            let near = a.radius + b.radius + reach;
+            if apart.norm_squared() > near * near {
+                continue;
+            }
+            for i in a.first..a.last {
+                for j in b.first..b.last {
+                    let sum = self.spheres[i].radius + self.spheres[j].radius;
+                    let squared = (centers[i] - centers[j]).norm_squared();
+                    if squared < (sum + reach) * (sum + reach) {
+                        out.push((i, j, squared.sqrt() - sum));
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    /// Hinge penalties of every clearance below `margin`: `sum (margin - d)^2`, over the variables of
+    /// `kinematics`, whose variable `object_variable` is the driven joint.
+    #[allow(clippy::too_many_arguments)] // every one is a different thing; a struct would only rename them
+    pub fn penalty(
+        &self,
+        kinematics: &Kinematics,
+        frames: &NodeFrames,
+        world: &World,
+        x: &Variables,
+        object_variable: usize,
+        margin: f64,
+        out: &mut Penalty,
+    ) {
+        let world_from_moved = world.joint.world_from_moved(x[object_variable]);
+        let centers = self.centers(frames);
+        for (sphere, center) in self.spheres.iter().zip(&centers) {
+            let reach = sphere.radius + margin;
+            let (distance, gradient) = world.fixed.distance_and_gradient(center);
+            if distance < reach {
+                let mut row = SVector::zeros();
+                kinematics.add_point_gradient(frames, sphere.node, center, &-gradient, &mut row);
+                out.add(reach - distance, &row);
+            }
+            if !sphere.on_base && center.z - world.floor_z < reach {
+                let mut row = SVector::zeros();
+                let down = -Vector3::z();
+                kinematics.add_point_gradient(frames, sphere.node, center, &down, &mut row);
+                out.add(reach - (center.z - world.floor_z), &row);
+            }
+            if !sphere.on_tool {
+                let local = world_from_moved.inverse_transform(center);
+                let (distance, gradient) = world.moving.distance_and_gradient(&local);
+                if distance < reach {
+                    let gradient = world_from_moved.rotation * gradient;
+                    let mut row = SVector::zeros();
+                    kinematics.add_point_gradient(
+                        frames,
+                        sphere.node,
+                        center,
+                        &-gradient,
+                        &mut row,
+                    );
+                    row[object_variable] += gradient.dot(&world.joint.point_velocity(center));
+                    out.add(reach - distance, &row);
+                }
+            }
+        }
+        for (a, b, distance) in self.near_pairs(frames, &centers, margin) {
+            let Some(direction) = (centers[a] - centers[b]).try_normalize(1e-9) else { continue };
+            let mut row = SVector::zeros();
+            let (sa, sb) = (&self.spheres[a], &self.spheres[b]);
+            kinematics.add_point_gradient(frames, sa.node, &centers[a], &-direction, &mut row);
+            kinematics.add_point_gradient(frames, sb.node, &centers[b], &direction, &mut row);
+            out.add(margin - distance, &row);
+        }
+    }
+}
+
+fn bound(spheres: &[NodeSphere], first: usize, node: usize) -> LinkBound {
+    let own = &spheres[first..];
+    let center = own.iter().map(|s| s.center).sum::<Vector3<f64>>() / own.len().max(1) as f64;
+    let radius = own.iter().map(|s| (s.center - center).norm() + s.radius).fold(0.0, f64::max);
+    LinkBound { node, center, radius, first, last: spheres.len() }
+}

@@ -1,0 +1,472 @@
+//! Euclidean signed distance fields on a regular grid.
+//!
+//! Distances are exact (to the triangles) within [`EXACT_BAND`] voxels of a surface, and from the exact
+//! Euclidean transform of Felzenszwalb and Huttenlocher (*Distance Transforms of Sampled Functions*,
+//! Theory of Computing 8, 2012) beyond. Scenes are triangle soups, seldom closed: *inside* is therefore
+//! every voxel that cannot be reached from a free seed point without crossing a surface.
+
+use akrobat_model::TriMesh;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// Width of the exact band around surfaces, in voxels.
+const EXACT_BAND: f64 = 2.0;
+
+/// A grid of distances, metres; positive outside, negative inside.
+#[derive(Debug, Clone)]
+pub struct Esdf {
+    /// Centre of voxel (0, 0, 0), metres.
+    origin: Vector3<f64>,
+    voxel_m: f64,
+    /// Number of voxels along x, y, z.
+    size: [usize; 3],
+    /// x fastest.
+    values: Vec<f32>,
+}
+
+/// Triangles in the frame of the field.
+pub type Triangles = Vec<[Vector3<f64>; 3]>;
+
+/// All triangles of `meshes`, transformed by `field_from_mesh`.
+pub fn collect_triangles(
+    meshes: &[TriMesh],
+    field_from_mesh: &akrobat_model::Pose,
+    out: &mut Triangles,
+) {
+    for mesh in meshes {
+        let point = |p: [f32; 3]| {
+            (field_from_mesh * nalgebra::Point3::from(Vector3::from(p).cast::<f64>())).coords
+        };
+        out.extend((0..mesh.triangles.len()).map(|t| mesh.corners(t).map(point)));
+    }
+}
+
+impl Esdf {
+    /// Builds the field of `triangles` on a grid that covers the box from `low` to `high`.
+    ///
+    /// With `free_seeds`, voxels that no seed reaches become negative; without, the field is unsigned.
+    pub fn build(
+        triangles: &[[Vector3<f64>; 3]],
+        low: Vector3<f64>,
+        high: Vector3<f64>,
+        voxel_m: f64,
+        free_seeds: &[Vector3<f64>],
+    ) -> Self {
+        let size =
+            std::array::from_fn(|i| ((high[i] - low[i]) / voxel_m).ceil().max(1.0) as usize + 1);
+        let mut field =
+            Self { origin: low, voxel_m, size, values: vec![f32::INFINITY; size.iter().product()] };
+        field.rasterise(triangles);
+        let outside = (!free_seeds.is_empty()).then(|| field.reachable(free_seeds));
+        field.propagate();
+        if let Some(outside) = outside {
+            field.negate_unreachable(&outside);
+        }
+        field
+    }
+
+    /// A field without surfaces: `distance` everywhere.
+    pub fn empty(distance: f64) -> Self {
+        let values = vec![distance as f32; 8];
+        Self { origin: Vector3::zeros(), voxel_m: 1.0, size: [2; 3], values }
+    }
+
+    /// Edge of a voxel, metres.
+    pub fn voxel_m(&self) -> f64 {
+        self.voxel_m
+    }
+
+    /// Number of voxels along x, y, z.
+    pub fn size(&self) -> [usize; 3] {
+        self.size
+    }
+
+    /// Lowest corner that is covered, metres.
+    pub fn low(&self) -> Vector3<f64> {
+        self.origin
+    }
+
+    /// Writes unsigned squared-root-free exact distances into the band around every triangle.
+    fn rasterise(&mut self, triangles: &[[Vector3<f64>; 3]]) {
+        let (origin, voxel, size) = (self.origin, self.voxel_m, self.size);
+        let slab = size[0] * size[1];
+        let band = EXACT_BAND * voxel;
+        // Slabs of z are independent, so the result does not depend on the number of threads.
+        let slabs_per_task = size[2].div_ceil(64).max(1);
+        self.values.par_chunks_mut(slab * slabs_per_task).enumerate().for_each(|(task, chunk)| {
+            let first = task * slabs_per_task;
+            let last = first + chunk.len() / slab - 1;
+            for triangle in triangles {
+                let mut from = [0usize; 3];
+                let mut to = [0usize; 3];
+                let mut empty = false;
+                for i in 0..3 {
+                    let low = triangle.iter().map(|c| c[i]).fold(f64::INFINITY, f64::min) - band;
+                    let high =
+                        triangle.iter().map(|c| c[i]).fold(f64::NEG_INFINITY, f64::max) + band;
+                    let (floor, ceil) = if i == 2 { (first, last) } else { (0, size[i] - 1) };
+                    let a = ((low - origin[i]) / voxel).ceil().max(floor as f64);
+                    let b = ((high - origin[i]) / voxel).floor().min(ceil as f64);
+                    empty |= a > b;
+                    (from[i], to[i]) = (a as usize, b.max(0.0) as usize);
+                }
+                if empty {
+                    continue;
+                }
+                for z in from[2]..=to[2] {
+                    for y in from[1]..=to[1] {
+                        let row = ((z - first) * size[1] + y) * size[0];
+                        for x in from[0]..=to[0] {
+                            let p = origin + Vector3::new(x as f64, y as f64, z as f64) * voxel;
+                            let d = point_triangle_distance(&p, triangle) as f32;
+                            let cell = &mut chunk[row + x];
+                            if d < *cell && f64::from(d) <= band {
+                                *cell = d;
+                            }
+                        }
+                    }
+                }
+            }
+        });
+    }
+
+    /// Marks the voxels that can be reached from the seeds by face steps between voxels whose centres are
+    /// at least 0.6 voxels from any surface (so that no wall is leapt over).
+    fn reachable(&self, seeds: &[Vector3<f64>]) -> Vec<bool> {
+        let wall = (0.6 * self.voxel_m) as f32;
+        let mut seen = vec![false; self.values.len()];
+        let mut stack: Vec<usize> = Vec::new();
+        for seed in seeds {
+            if let Some(index) = self.nearest_voxel(seed)
+                && self.values[index] > wall
+                && !std::mem::replace(&mut seen[index], true)
+            {
+                stack.push(index);
+            }
+        }
+        let strides = [1, self.size[0], self.size[0] * self.size[1]];
+        while let Some(index) = stack.pop() {
+            for axis in 0..3 {
+                let coordinate = index / strides[axis] % self.size[axis];
+                let below = (coordinate > 0).then(|| index - strides[axis]);
+                let above = (coordinate + 1 < self.size[axis]).then(|| index + strides[axis]);
+                for next in [below, above].into_iter().flatten() {
+                    if !seen[next] && self.values[next] > wall {
+                        seen[next] = true;
+                        stack.push(next);
+                    }
+                }
+            }
+        }
+        seen
+    }
+
+    fn nearest_voxel(&self, point: &Vector3<f64>) -> Option<usize> {
+        let mut index = 0;
+        for axis in (0..3).rev() {
+            let coordinate = ((point[axis] - self.origin[axis]) / self.voxel_m).round();
+            if coordinate < 0.0 || coordinate >= self.size[axis] as f64 {
+                return None;
+            }
+            index = index * self.size[axis] + coordinate as usize;
+        }
+        Some(index)
+    }
+
+    /// Fills everything beyond the exact band.
+    fn propagate(&mut self) {
+        let scale = 1.0 / self.voxel_m as f32;
+        self.values.par_iter_mut().for_each(|v| {
+            *v = if v.is_finite() { (*v * scale).powi(2) } else { FAR };
+        });
+        let [nx, ny, nz] = self.size;
+        self.values.par_chunks_mut(nx).for_each_init(
+            || Envelope::new(nx),
+            |envelope, row| {
+                envelope.transform(row);
+            },
+        );
+        self.values.par_chunks_mut(nx * ny).for_each_init(
+            || (Envelope::new(ny), vec![0.0; ny]),
+            |(envelope, line), plane| {
+                for x in 0..nx {
+                    gather(plane, x, nx, line);
+                    envelope.transform(line);
+                    scatter(line, plane, x, nx);
+                }
+            },
+        );
+        // Lines along z are strided over the whole array: transposed plane by plane.
+        let source = std::mem::take(&mut self.values);
+        let mut columns = vec![0.0f32; source.len()];
+        columns.par_chunks_mut(nz * nx).enumerate().for_each_init(
+            || Envelope::new(nz),
+            |envelope, (y, plane)| {
+                for (x, line) in plane.chunks_mut(nz).enumerate() {
+                    for (z, value) in line.iter_mut().enumerate() {
+                        *value = source[(z * ny + y) * nx + x];
+                    }
+                    envelope.transform(line);
+                }
+            },
+        );
+        let mut values = source;
+        let voxel = self.voxel_m as f32;
+        values.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
+            for (y, row) in plane.chunks_mut(nx).enumerate() {
+                for (x, value) in row.iter_mut().enumerate() {
+                    *value = columns[(y * nx + x) * nz + z].sqrt() * voxel;
+                }
+            }
+        });
+        self.values = values;
+    }
+
+    /// Makes unreachable voxels negative: the distance to the nearest reachable region, estimated by the
+    /// distance to the nearest surface.
+    fn negate_unreachable(&mut self, outside: &[bool]) {
+        let wall = (0.6 * self.voxel_m) as f32;
+        self.values.par_iter_mut().zip(outside).for_each(|(value, &outside)| {
+            // Voxels on a surface are reached by no flood; they keep their small positive distance.
+            if !outside && *value > wall {
+                *value = -*value;
+            }
+        });
+    }
+
+    /// Trilinear distance at `point`, metres; outside the grid, the value at the nearest covered point.
+    #[inline]
+    pub fn distance(&self, point: &Vector3<f64>) -> f64 {
+        self.interpolate(point).0
+    }
+
+    /// Trilinear distance and its gradient.
+    #[inline]
+    pub fn distance_and_gradient(&self, point: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        self.interpolate(point)
+    }
+
+    #[inline]
+    fn interpolate(&self, point: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let inverse = 1.0 / self.voxel_m;
+        let mut base = [0usize; 3];
+        let mut f = [0.0; 3];
+        for axis in 0..3 {
+            let top = (self.size[axis] - 1) as f64;
+            let u = ((point[axis] - self.origin[axis]) * inverse).clamp(0.0, top - 1e-9);
+            base[axis] = u as usize;
+            f[axis] = u - base[axis] as f64;
+        }
+        let [nx, ny, _] = self.size;
+        let at = (base[2] * ny + base[1]) * nx + base[0];
+        let v = |offset: usize| f64::from(self.values[at + offset]);
+        let (sy, sz) = (nx, nx * ny);
+        let lerp = |a: f64, b: f64, t: f64| a + (b - a) * t;
+        let (c000, c100, c010, c110) = (v(0), v(1), v(sy), v(sy + 1));
+        let (c001, c101, c011, c111) = (v(sz), v(sz + 1), v(sz + sy), v(sz + sy + 1));
+        let (x00, x10) = (lerp(c000, c100, f[0]), lerp(c010, c110, f[0]));
+        let (x01, x11) = (lerp(c001, c101, f[0]), lerp(c011, c111, f[0]));
+        let (y0, y1) = (lerp(x00, x10, f[1]), lerp(x01, x11, f[1]));
+        let dx =
+            lerp(lerp(c100 - c000, c110 - c010, f[1]), lerp(c101 - c001, c111 - c011, f[1]), f[2]);
+        let dy = lerp(x10 - x00, x11 - x01, f[2]);
+        (lerp(y0, y1, f[2]), Vector3::new(dx, dy, y1 - y0) * inverse)
+    }
+}
+
+/// Larger than any squared distance in voxels; finite, so that parabola intersections stay numbers.
+const FAR: f32 = 1e12;
+
+fn gather(plane: &[f32], x: usize, stride: usize, line: &mut [f32]) {
+    for (y, value) in line.iter_mut().enumerate() {
+        *value = plane[y * stride + x];
+    }
+}
+
+fn scatter(line: &[f32], plane: &mut [f32], x: usize, stride: usize) {
+    for (y, value) in line.iter().enumerate() {
+        plane[y * stride + x] = *value;
+    }
+}
+
+/// The lower envelope of parabolas of one line.
+struct Envelope {
+    vertex: Vec<u32>,
+    boundary: Vec<f32>,
+    copy: Vec<f32>,
+}
+
+impl Envelope {
+    fn new(length: usize) -> Self {
+        Self { vertex: vec![0; length], boundary: vec![0.0; length + 1], copy: vec![0.0; length] }
+    }
+
+    /// Replaces samples f(p) by min over p of (q - p)^2 + f(p).
+    fn transform(&mut self, line: &mut [f32]) {
+        if line.iter().all(|&v| v >= FAR) {
+            return;
+        }
+        self.copy.copy_from_slice(line);
+        let f = &self.copy;
+        let mut count = 0usize;
+        for q in (0..line.len()).filter(|&q| f[q] < FAR) {
+            let mut start = f32::NEG_INFINITY;
+            while count > 0 {
+                let p = self.vertex[count - 1] as usize;
+                let (qf, pf) = (q as f32, p as f32);
+                start = ((f[q] + qf * qf) - (f[p] + pf * pf)) / (2.0 * (qf - pf));
+                if start > self.boundary[count - 1] {
+                    break;
+                }
+                count -= 1;
+                start = f32::NEG_INFINITY;
+            }
+            self.vertex[count] = q as u32;
+            self.boundary[count] = start;
+            count += 1;
+        }
+        self.boundary[count] = f32::INFINITY;
+        let mut k = 0;
+        for (q, value) in line.iter_mut().enumerate() {
+            while self.boundary[k + 1] < q as f32 {
+                k += 1;
+            }
+            let p = self.vertex[k] as usize;
+            *value = (q as f32 - p as f32).powi(2) + f[p];
+        }
+    }
+}
+
+/// Distance from a point to a triangle (Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5).
+pub fn point_triangle_distance(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> f64 {
+    (p - closest_point_on_triangle(p, a, b, c)).norm()
+}
+
+/// Closest point of a triangle (Ericson 2005, section 5.1.5).
+pub fn closest_point_on_triangle(
+    p: &Vector3<f64>,
+    a: &Vector3<f64>,
+    b: &Vector3<f64>,
+    c: &Vector3<f64>,
+) -> Vector3<f64> {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return *a;
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return *b;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 - d3 > 0.0 {
+        return a + ab * (d1 / (d1 - d3));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return *c;
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 - d6 > 0.0 {
+        return a + ac * (d2 / (d2 - d6));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 && (d4 - d3) + (d5 - d6) > 0.0 {
+        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
+    }
+    let sum = va + vb + vc;
+    if sum.abs() < 1e-300 {
+        return *a;
+    }
+    a + ab * (vb / sum) + ac * (vc / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    fn random_triangles(count: usize, seed: u64) -> Triangles {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut point = move |around: Vector3<f64>, spread: f64| {
+            around + Vector3::from_fn(|_, _| rng.random_range(-spread..spread))
+        };
+        (0..count)
+            .map(|_| {
+                let a = point(Vector3::repeat(0.5), 0.4);
+                [a, point(a, 0.2), point(a, 0.2)]
+            })
+            .collect()
+    }
+
+    fn brute_force(p: &Vector3<f64>, triangles: &Triangles) -> f64 {
+        triangles.iter().map(|t| point_triangle_distance(p, t)).fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn agrees_with_brute_force_at_voxel_centres() {
+        let triangles = random_triangles(12, 1);
+        let voxel = 0.04;
+        let field = Esdf::build(&triangles, Vector3::zeros(), Vector3::repeat(1.0), voxel, &[]);
+        let mut worst_near = 0.0f64;
+        let mut worst_far = 0.0f64;
+        for z in 0..field.size[2] {
+            for y in 0..field.size[1] {
+                for x in 0..field.size[0] {
+                    let p = Vector3::new(x as f64, y as f64, z as f64) * voxel;
+                    let exact = brute_force(&p, &triangles);
+                    let error = (field.distance(&p) - exact).abs();
+                    if exact < EXACT_BAND * voxel * 0.99 {
+                        worst_near = worst_near.max(error);
+                    } else {
+                        worst_far = worst_far.max(error);
+                    }
+                }
+            }
+        }
+        assert!(worst_near < 1e-5, "exact band: {worst_near}");
+        assert!(worst_far < 0.5 * voxel, "beyond the band: {worst_far}");
+    }
+
+    #[test]
+    fn gradient_agrees_with_finite_differences() {
+        let triangles = random_triangles(5, 2);
+        let field = Esdf::build(&triangles, Vector3::zeros(), Vector3::repeat(1.0), 0.05, &[]);
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        for _ in 0..200 {
+            let p = Vector3::from_fn(|_, _| rng.random_range(0.1..0.9));
+            let (_, gradient) = field.distance_and_gradient(&p);
+            for axis in 0..3 {
+                // Inside one voxel the interpolant is smooth; steps that leave it are skipped.
+                let h = 1e-6;
+                let mut q = p;
+                q[axis] += h;
+                let numeric = (field.distance(&q) - field.distance(&p)) / h;
+                let near_face = ((p[axis] / 0.05).fract() - 0.5).abs() > 0.4999;
+                assert!(near_face || (numeric - gradient[axis]).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn unreachable_space_is_inside() {
+        // A closed tetrahedron-like box of 12 triangles around the centre.
+        let corner = |i: usize| {
+            Vector3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64) * 0.4
+                + Vector3::repeat(0.3)
+        };
+        let faces =
+            [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+        let mut triangles = Triangles::new();
+        for [a, b, c, d] in faces {
+            triangles.push([corner(a), corner(b), corner(c)]);
+            triangles.push([corner(a), corner(c), corner(d)]);
+        }
+        let seed = [Vector3::repeat(0.05)];
+        let field = Esdf::build(&triangles, Vector3::zeros(), Vector3::repeat(1.0), 0.02, &seed);
+        assert!((field.distance(&Vector3::repeat(0.5)) + 0.2).abs() < 0.01);
+        assert!((field.distance(&Vector3::new(0.1, 0.5, 0.5)) - 0.2).abs() < 0.01);
+    }
+}

@@ -1,0 +1,403 @@
+//! Grasps: antipodal sampling on the handle, or poses from a file, with a check that the gripper fits.
+
+use akrobat_model::task::{ManipulatedObject, Task};
+use akrobat_model::trajectory::Grasp;
+use akrobat_model::{Pose, Robot};
+use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::esdf::{Esdf, Triangles, collect_triangles};
+use crate::kinematics::Frame;
+use crate::spheres::{SphereModel, link_triangles, surface_samples};
+use crate::world::{handle_center, handle_parts, handle_triangles, is_handle_part, outward};
+
+/// Surface points tried on the handle, and approach directions tried around the closing axis.
+const SURFACE_POINTS: usize = 500;
+const DIRECTIONS: usize = 16;
+/// How far beyond the middle of the pads the handle may lie, metres.
+const DEPTHS_M: [f64; 3] = [0.0, -0.006, 0.006];
+/// Largest angle between the pads and the surface: friction coefficient 0.5.
+const FRICTION_ANGLE: f64 = 0.46;
+/// Width kept free beyond the handle when the fingers are open, metres.
+const OPENING_SPARE_M: f64 = 0.008;
+/// Clearances of the hand, of the open fingers to the handle, and of the fingers to everything else, metres.
+const HAND_CLEARANCE_M: f64 = 0.004;
+const OPEN_CLEARANCE_M: f64 = 0.001;
+const FINGER_CLEARANCE_M: f64 = 0.002;
+/// Voxel of the fields around the handle, and their reach, metres.
+const VOXEL_M: f64 = 0.005;
+const REACH_M: f64 = 0.22;
+
+/// Geometry around the handle, in the held link's frame, at the object's start.
+struct Surroundings {
+    handle: Esdf,
+    others: Esdf,
+}
+
+/// Points and spheres of the gripper in the tool frame.
+struct GripperShape {
+    hand_points: Vec<Vector3<f64>>,
+    hand_spheres: Vec<(Vector3<f64>, f64)>,
+    open_points: Vec<Vector3<f64>>,
+    open_spheres: Vec<(Vector3<f64>, f64)>,
+}
+
+/// Grasps of a task: from its file, else sampled. Both are checked against the gripper's shape. Returns
+/// the grasps and the number of candidates that were looked at.
+pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64) -> (Vec<Grasp>, usize) {
+    let candidates = if task.grasp_poses.is_empty() {
+        sample_antipodal(&task.object, task.robot.file.gripper.open_width_m, seed)
+    } else {
+        from_poses(task)
+    };
+    let around = Surroundings::build(task);
+    let fits: Vec<Option<f64>> = candidates
+        .par_iter()
+        .map(|candidate| around.fits(task, spheres, candidate).then_some(candidate.score))
+        .collect();
+    let mut fitting: Vec<&Candidate> =
+        candidates.iter().zip(&fits).filter(|(_, fit)| fit.is_some()).map(|(c, _)| c).collect();
+    fitting.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let chosen = diverse(&fitting, task.file.grasps.count);
+    let link = &task.object.tree.links()[task.object.handle_link].name;
+    let grasps = chosen.iter().enumerate().map(|(id, candidate)| Grasp {
+        id: id as u32,
+        link: link.clone(),
+        link_from_tool: candidate.link_from_tool,
+        width_m: candidate.width_m,
+    });
+    (grasps.collect(), candidates.len())
+}
+
+#[derive(Debug, Clone)]
+struct Candidate {
+    link_from_tool: Pose,
+    width_m: f64,
+    score: f64,
+}
+
+/// Antipodal candidates (Nguyen, *Constructing force-closure grasps*, IJRR 1988): opposite surface points
+/// within the friction cones, approached from all directions around the line between them.
+fn sample_antipodal(object: &ManipulatedObject, open_width_m: f64, seed: u64) -> Vec<Candidate> {
+    let triangles = handle_triangles(object);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = Vec::new();
+    let Some(areas) = cumulative_areas(&triangles) else { return out };
+    let start = object.tree.link_poses(&object.world_from_root, &object.start);
+    let world_from_link = Frame::from(&start[object.handle_link]);
+    let center = world_from_link.inverse_transform(&handle_center(object));
+    let out_direction = outward(object, &handle_center(object));
+    let inward = -world_from_link.rotation.tr_mul(&out_direction);
+    for _ in 0..SURFACE_POINTS {
+        let (point, normal) = random_surface_point(&triangles, &areas, &mut rng);
+        let inside_region = object
+            .handle_region
+            .is_none_or(|r| (0..3).all(|i| point[i] >= r[i] && point[i] <= r[i + 3]));
+        let Some((width, opposite)) = opposite_point(&triangles, &point, &normal) else { continue };
+        let aligned = opposite.dot(&normal).abs();
+        if !inside_region
+            || width > open_width_m - OPENING_SPARE_M
+            || aligned < FRICTION_ANGLE.cos()
+        {
+            continue;
+        }
+        let middle = point - normal * (width / 2.0);
+        for step in 0..DIRECTIONS {
+            let angle = std::f64::consts::TAU * step as f64 / DIRECTIONS as f64;
+            for depth in DEPTHS_M {
+                let approach = perpendicular(&normal, angle);
+                let pose = tool_pose(&(middle - approach * depth), &normal, &approach);
+                let score = aligned + 0.7 * approach.dot(&inward)
+                    - 2.0 * (middle - center).norm()
+                    - 5.0 * depth.abs();
+                out.push(Candidate { link_from_tool: pose, width_m: width, score });
+            }
+        }
+    }
+    out
+}
+
+fn from_poses(task: &Task) -> Vec<Candidate> {
+    let triangles = handle_triangles(&task.object);
+    let open = task.robot.file.gripper.open_width_m;
+    task.grasp_poses
+        .iter()
+        .enumerate()
+        .map(|(rank, pose)| {
+            let closing = pose.rotation * Vector3::y();
+            let width = clamp_width(&triangles, &pose.translation.vector, &closing, open);
+            Candidate { link_from_tool: *pose, width_m: width, score: -(rank as f64) }
+        })
+        .collect()
+}
+
+/// Free width between the pads once they touch what is between them.
+fn clamp_width(
+    triangles: &Triangles,
+    tool: &Vector3<f64>,
+    closing: &Vector3<f64>,
+    open_width_m: f64,
+) -> f64 {
+    let gap = |side: f64| {
+        let from = tool + closing * (side * open_width_m / 2.0);
+        let nearest = ray_hits(triangles, &from, &(closing * -side)).map(|(t, _)| t);
+        nearest.fold(open_width_m / 2.0, f64::min)
+    };
+    open_width_m - 2.0 * gap(1.0).min(gap(-1.0))
+}
+
+impl Surroundings {
+    fn build(task: &Task) -> Self {
+        let object = &task.object;
+        let start = object.tree.link_poses(&object.world_from_root, &object.start);
+        let link_from_world = start[object.handle_link].inverse();
+        let (mut handle, mut others) = (Triangles::new(), Triangles::new());
+        for part in handle_parts(object) {
+            collect_triangles(&part.triangulate(), &Pose::identity(), &mut handle);
+        }
+        for (index, link) in object.tree.links().iter().enumerate() {
+            let parts = if link.collisions.is_empty() { &link.visuals } else { &link.collisions };
+            for part in parts {
+                let is_handle = index == object.handle_link && is_handle_part(object, &part.name);
+                if !is_handle {
+                    let frame = link_from_world * start[index];
+                    collect_triangles(&part.triangulate(), &frame, &mut others);
+                }
+            }
+        }
+        for body in &task.scene.bodies {
+            for part in body.collision_parts() {
+                let frame = link_from_world * body.world_from_body;
+                collect_triangles(&part.triangulate(), &frame, &mut others);
+            }
+        }
+        let world_center = handle_center(object);
+        let center = (link_from_world * Point3::from(world_center)).coords;
+        let grip = handle_triangles(object);
+        let corners = || grip.iter().flatten();
+        let low = corners().fold(center, |a, c| a.inf(c)) - Vector3::repeat(REACH_M);
+        let high = corners().fold(center, |a, c| a.sup(c)) + Vector3::repeat(REACH_M);
+        let out = link_from_world.rotation * outward(object, &world_center);
+        let seeds = [0.1, 0.15, 0.2].map(|d| center + out * d);
+        let near = |t: &[Vector3<f64>; 3]| {
+            (0..3).all(|i| {
+                t.iter().any(|c| c[i] > low[i] - 0.1) && t.iter().any(|c| c[i] < high[i] + 0.1)
+            })
+        };
+        others.retain(near);
+        handle.retain(near);
+        Self {
+            handle: Esdf::build(&handle, low, high, VOXEL_M, &seeds),
+            others: if others.is_empty() {
+                Esdf::empty(1.0)
+            } else {
+                Esdf::build(&others, low, high, VOXEL_M, &seeds)
+            },
+        }
+    }
+
+    /// True where the hand and the open fingers are free at the grasp and on the way to it, and the closed
+    /// fingers touch nothing but the handle.
+    fn fits(&self, task: &Task, spheres: &SphereModel, candidate: &Candidate) -> bool {
+        let robot = &task.robot;
+        let tool = Frame::from(&candidate.link_from_tool);
+        let shape = GripperShape::new(robot, spheres, robot.file.gripper.open_width_m);
+        let closed = GripperShape::new(robot, spheres, candidate.width_m);
+        let approach = tool.rotation * Vector3::z();
+        [0.0, 0.015, 0.04, 0.08].iter().all(|&back| {
+            let at = Frame { translation: tool.translation - approach * back, ..tool };
+            self.hand_is_free(&shape, &at) && self.open_fingers_are_free(&shape, &at)
+        }) && self.fingers_avoid_others(&closed, &tool)
+    }
+
+    fn hand_is_free(&self, shape: &GripperShape, tool: &Frame) -> bool {
+        shape.hand_points.iter().all(|p| {
+            let p = tool.transform(p);
+            self.others.distance(&p) > HAND_CLEARANCE_M
+                && self.handle.distance(&p) > HAND_CLEARANCE_M
+        }) && shape.hand_spheres.iter().all(|(c, r)| {
+            let c = tool.transform(c);
+            self.others.distance(&c) > r + FINGER_CLEARANCE_M
+                && self.handle.distance(&c) > r + FINGER_CLEARANCE_M
+        })
+    }
+
+    fn open_fingers_are_free(&self, shape: &GripperShape, tool: &Frame) -> bool {
+        shape
+            .open_points
+            .iter()
+            .all(|p| self.handle.distance(&tool.transform(p)) > OPEN_CLEARANCE_M)
+            && self.fingers_avoid_others(shape, tool)
+    }
+
+    fn fingers_avoid_others(&self, shape: &GripperShape, tool: &Frame) -> bool {
+        shape
+            .open_points
+            .iter()
+            .all(|p| self.others.distance(&tool.transform(p)) > FINGER_CLEARANCE_M)
+            && shape
+                .open_spheres
+                .iter()
+                .all(|(c, r)| self.others.distance(&tool.transform(c)) > r + FINGER_CLEARANCE_M)
+    }
+}
+
+impl GripperShape {
+    /// The links that are rigid with the tool, with the fingers at a width.
+    fn new(robot: &Robot, spheres: &SphereModel, width_m: f64) -> Self {
+        let mut q = robot.rest.clone();
+        for (&joint, position) in robot.gripper_joints.iter().zip(robot.finger_positions(width_m)) {
+            if let Some(column) = robot.tree.column(joint) {
+                q[column] = position;
+            }
+        }
+        let poses = robot.tree.link_poses(&Pose::identity(), &q);
+        let tool_from_world = (poses[robot.tool_link] * robot.link_from_tool).inverse();
+        let mut shape = Self {
+            hand_points: Vec::new(),
+            hand_spheres: Vec::new(),
+            open_points: Vec::new(),
+            open_spheres: Vec::new(),
+        };
+        for link in 0..robot.tree.links().len() {
+            if !rigid_with_tool(robot, link) {
+                continue;
+            }
+            let tool_from_link = Frame::from(&(tool_from_world * poses[link]));
+            let triangles = link_triangles(&robot.tree.links()[link]);
+            let points = surface_samples(&triangles, 0.006, 700);
+            let points = points.iter().map(|p| tool_from_link.transform(p));
+            let own = spheres.spheres.iter().filter(|s| s.link == link);
+            let own = own.map(|s| (tool_from_link.transform(&s.center.into()), s.radius));
+            if robot.finger_links.contains(&link) {
+                shape.open_points.extend(points);
+                shape.open_spheres.extend(own);
+            } else {
+                shape.hand_points.extend(points);
+                shape.hand_spheres.extend(own);
+            }
+        }
+        shape
+    }
+}
+
+/// True for links that no arm joint separates from the tool (the fingers included).
+fn rigid_with_tool(robot: &Robot, link: usize) -> bool {
+    let arm_joints = |l: usize| -> Vec<usize> {
+        let chain = robot.tree.chain_to(l);
+        chain
+            .into_iter()
+            .filter(|j| robot.arm_joints.contains(j) || robot.base_joints.contains(j))
+            .collect()
+    };
+    arm_joints(link) == arm_joints(robot.tool_link)
+}
+
+/// Picks `count` candidates: the best, then always the one farthest from those picked (5 cm count as
+/// much as 0.5 rad), among the better half.
+fn diverse<'a>(candidates: &[&'a Candidate], count: usize) -> Vec<&'a Candidate> {
+    let Some(first) = candidates.first() else { return Vec::new() };
+    let pool = &candidates[..candidates.len().min((candidates.len() / 2).max(count))];
+    let apart = |a: &Candidate, b: &Candidate| {
+        let t = a.link_from_tool.translation.vector - b.link_from_tool.translation.vector;
+        let r = a.link_from_tool.rotation.angle_to(&b.link_from_tool.rotation);
+        ((t.norm() / 0.05).powi(2) + (r / 0.5).powi(2)).sqrt()
+    };
+    let mut gaps: Vec<f64> = pool.iter().map(|c| apart(c, first)).collect();
+    let mut chosen = vec![*first];
+    while chosen.len() < count {
+        let Some(next) = (0..pool.len()).max_by(|&a, &b| gaps[a].total_cmp(&gaps[b])) else {
+            break;
+        };
+        if gaps[next] < 0.05 {
+            break;
+        }
+        chosen.push(pool[next]);
+        for (gap, candidate) in gaps.iter_mut().zip(pool) {
+            *gap = gap.min(apart(candidate, pool[next]));
+        }
+    }
+    chosen
+}
+
+/// Tool pose with y along `closing` and z along `approach` (unit, perpendicular).
+fn tool_pose(origin: &Vector3<f64>, closing: &Vector3<f64>, approach: &Vector3<f64>) -> Pose {
+    let rotation = Matrix3::from_columns(&[closing.cross(approach), *closing, *approach]);
+    Pose::from_parts(
+        Translation3::from(*origin),
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation)),
+    )
+}
+
+/// A unit vector perpendicular to `axis`, turned by `angle` about it.
+fn perpendicular(axis: &Vector3<f64>, angle: f64) -> Vector3<f64> {
+    let helper = if axis.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
+    let u = axis.cross(&helper).normalize();
+    u * angle.cos() + axis.cross(&u) * angle.sin()
+}
+
+fn cumulative_areas(triangles: &Triangles) -> Option<Vec<f64>> {
+    let mut sum = 0.0;
+    let areas: Vec<f64> = triangles
+        .iter()
+        .map(|[a, b, c]| {
+            sum += (b - a).cross(&(c - a)).norm() / 2.0;
+            sum
+        })
+        .collect();
+    (sum > 0.0).then_some(areas)
+}
+
+fn random_surface_point(
+    triangles: &Triangles,
+    areas: &[f64],
+    rng: &mut ChaCha8Rng,
+) -> (Vector3<f64>, Vector3<f64>) {
+    let total = areas.last().copied().unwrap_or(0.0);
+    let pick = rng.random_range(0.0..total);
+    let [a, b, c] = &triangles[areas.partition_point(|&s| s <= pick).min(areas.len() - 1)];
+    let (mut u, mut v) = (rng.random_range(0.0..1.0), rng.random_range(0.0..1.0));
+    if u + v > 1.0 {
+        (u, v) = (1.0 - u, 1.0 - v);
+    }
+    let normal = (b - a).cross(&(c - a)).try_normalize(1e-12).unwrap_or_else(Vector3::z);
+    (a + (b - a) * u + (c - a) * v, normal)
+}
+
+/// Where the ray into the surface leaves the handle: the distance and that surface's normal.
+fn opposite_point(
+    triangles: &Triangles,
+    point: &Vector3<f64>,
+    normal: &Vector3<f64>,
+) -> Option<(f64, Vector3<f64>)> {
+    ray_hits(triangles, point, &-normal)
+        .filter(|(t, _)| *t > 0.0015)
+        .min_by(|(a, _), (b, _)| a.total_cmp(b))
+}
+
+/// Crossings of a ray with triangles, with unit normals (Möller and Trumbore, 1997).
+fn ray_hits<'a>(
+    triangles: &'a Triangles,
+    from: &Vector3<f64>,
+    direction: &Vector3<f64>,
+) -> impl Iterator<Item = (f64, Vector3<f64>)> + 'a {
+    let (from, direction) = (*from, *direction);
+    triangles.iter().filter_map(move |[a, b, c]| {
+        let (e1, e2) = (b - a, c - a);
+        let p = direction.cross(&e2);
+        let determinant = e1.dot(&p);
+        if determinant.abs() < 1e-14 {
+            return None;
+        }
+        let s = from - a;
+        let u = s.dot(&p) / determinant;
+        let q = s.cross(&e1);
+        let v = direction.dot(&q) / determinant;
+        let t = e2.dot(&q) / determinant;
+        (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0)
+            .then(|| Some((t, e1.cross(&e2).try_normalize(1e-14)?)))
+            .flatten()
+    })
+}

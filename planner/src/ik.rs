@@ -1,0 +1,201 @@
+//! Batch inverse kinematics by damped least squares from random seeds.
+
+use akrobat_model::Robot;
+use nalgebra::{Matrix6, SVector, Vector3, Vector6};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables, rotation_log};
+
+/// Largest position and rotation error of a solution (metres, radians).
+pub const TOLERANCE: f64 = 1e-6;
+
+const MAX_ITERATIONS: usize = 60;
+
+/// The tool of a compiled robot.
+#[derive(Debug, Clone)]
+pub struct Tool {
+    /// Node it hangs from.
+    pub node: usize,
+    /// Tool frame in the node's frame.
+    pub node_from_tool: Frame,
+}
+
+impl Tool {
+    /// The tool of `robot` on `kinematics`; `None` if no variable moves it.
+    pub fn new(robot: &Robot, kinematics: &Kinematics) -> Option<Self> {
+        let attachment = kinematics.attachment(robot.tool_link);
+        let offset = attachment.node_from_link * robot.link_from_tool;
+        Some(Self { node: attachment.node?, node_from_tool: Frame::from(&offset) })
+    }
+
+    /// World frame of the tool.
+    pub fn frame(&self, frames: &NodeFrames) -> Frame {
+        frames.frames[self.node].compose(&self.node_from_tool)
+    }
+}
+
+/// `[translation; rotation]` error from `target` to `actual`, world axes (m, rad).
+pub fn pose_error(actual: &Frame, target: &Frame) -> Vector6<f64> {
+    let rotation = rotation_log(&(actual.rotation * target.rotation.transpose()));
+    let translation = actual.translation - target.translation;
+    let mut error = Vector6::zeros();
+    error.fixed_rows_mut::<3>(0).copy_from(&translation);
+    error.fixed_rows_mut::<3>(3).copy_from(&rotation);
+    error
+}
+
+/// Moves the first `active` variables of `x` until the tool is at `target`; variables below `frozen`
+/// stay. Levenberg-Marquardt with limits by clamping (Nocedal and Wright, *Numerical Optimization*,
+/// 2006, section 10.3). True on success.
+pub fn solve(
+    kinematics: &Kinematics,
+    tool: &Tool,
+    target: &Frame,
+    x: &mut Variables,
+    frozen: usize,
+) -> bool {
+    let mut damping = 1e-3;
+    let mut frames = kinematics.forward(x);
+    let mut error = pose_error(&tool.frame(&frames), target);
+    for _ in 0..MAX_ITERATIONS {
+        if error.amax() < TOLERANCE {
+            return true;
+        }
+        let step = damped_step(kinematics, tool, &frames, x, &error, damping, frozen);
+        let mut trial = [0.0; MAX_VARIABLES];
+        let trial = &mut trial[..x.len()];
+        for (i, value) in trial.iter_mut().enumerate() {
+            *value = x[i] + step[i].clamp(-0.5, 0.5);
+        }
+        kinematics.clamp(trial);
+        let trial_frames = kinematics.forward(trial);
+        let trial_error = pose_error(&tool.frame(&trial_frames), target);
+        if trial_error.norm_squared() < error.norm_squared() {
+            x.copy_from_slice(trial);
+            (frames, error) = (trial_frames, trial_error);
+            damping = (damping * 0.2).max(1e-12);
+        } else {
+            damping = (damping * 5.0).max(1e-6);
+            if damping > 1e3 {
+                return false;
+            }
+        }
+    }
+    error.amax() < TOLERANCE
+}
+
+/// Step `-J^T (J J^T + damping I)^-1 error`; variables at a limit that the step would leave are frozen.
+fn damped_step(
+    kinematics: &Kinematics,
+    tool: &Tool,
+    frames: &NodeFrames,
+    x: &Variables,
+    error: &Vector6<f64>,
+    damping: f64,
+    frozen: usize,
+) -> SVector<f64, MAX_VARIABLES> {
+    let point = tool.frame(frames).translation;
+    let mut jacobian = kinematics.jacobian(frames, tool.node, &point);
+    for variable in 0..frozen {
+        jacobian.column_mut(variable).fill(0.0);
+    }
+    for _ in 0..3 {
+        let normal = jacobian * jacobian.transpose() + Matrix6::identity() * damping;
+        let Some(cholesky) = normal.cholesky() else { return SVector::zeros() };
+        let step = -(jacobian.transpose() * cholesky.solve(error));
+        let mut blocked = false;
+        for variable in 0..kinematics.dof() {
+            let at_low = x[variable] <= kinematics.lower()[variable] && step[variable] < -1e-9;
+            let at_high = x[variable] >= kinematics.upper()[variable] && step[variable] > 1e-9;
+            if at_low || at_high {
+                jacobian.column_mut(variable).fill(0.0);
+                blocked = true;
+            }
+        }
+        if !blocked {
+            return step;
+        }
+    }
+    SVector::zeros()
+}
+
+/// Where random seeds put the base and the arm.
+#[derive(Debug, Clone)]
+pub struct SeedRegion {
+    /// Number of base variables: 3, or 0 for a fixed base.
+    pub base: usize,
+    /// Arm mount in the base frame, in the plane.
+    pub mount: [f64; 2],
+    /// Direction from the target towards free space, horizontal unit vector.
+    pub outward: Vector3<f64>,
+    /// Distance of the mount from the target, metres.
+    pub distance_m: [f64; 2],
+    /// Half angle around `outward` in which the base is placed, radians.
+    pub half_angle: f64,
+}
+
+impl SeedRegion {
+    /// A random start for [`solve`]: the base near the target and roughly facing it, the arm anywhere.
+    pub fn sample(
+        &self,
+        kinematics: &Kinematics,
+        target: &Frame,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<f64> {
+        let mut x: Vec<f64> = (0..kinematics.dof())
+            .map(|i| {
+                let (low, high) = (kinematics.lower()[i].max(-3.2), kinematics.upper()[i].min(3.2));
+                rng.random_range(low..=high)
+            })
+            .collect();
+        if self.base == 3 {
+            let bearing = self.outward.y.atan2(self.outward.x)
+                + rng.random_range(-self.half_angle..=self.half_angle);
+            let distance = rng.random_range(self.distance_m[0]..=self.distance_m[1]);
+            let mount =
+                target.translation + Vector3::new(bearing.cos(), bearing.sin(), 0.0) * distance;
+            let yaw = wrap(bearing + std::f64::consts::PI + rng.random_range(-1.6..=1.6));
+            let (sin, cos) = yaw.sin_cos();
+            x[0] = mount.x - (cos * self.mount[0] - sin * self.mount[1]);
+            x[1] = mount.y - (sin * self.mount[0] + cos * self.mount[1]);
+            x[2] = yaw;
+        }
+        x
+    }
+}
+
+/// An angle in -pi..pi.
+pub fn wrap(angle: f64) -> f64 {
+    angle.sin().atan2(angle.cos())
+}
+
+/// Solves from `seeds` random starts; `accept` sees each solution. The result is in seed order and does
+/// not depend on the number of threads.
+#[allow(clippy::too_many_arguments)] // a batch is described by exactly these
+pub fn solve_batch(
+    kinematics: &Kinematics,
+    tool: &Tool,
+    target: &Frame,
+    region: &SeedRegion,
+    seed: u64,
+    seeds: usize,
+    prefilter: &(dyn Fn(&Variables) -> bool + Sync),
+    accept: &(dyn Fn(&Variables) -> bool + Sync),
+) -> (Vec<Vec<f64>>, usize) {
+    let results: Vec<(bool, Option<Vec<f64>>)> = (0..seeds)
+        .into_par_iter()
+        .map(|index| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(index as u64);
+            let mut x = region.sample(kinematics, target, &mut rng);
+            if !prefilter(&x) || !solve(kinematics, tool, target, &mut x, 0) {
+                return (false, None);
+            }
+            (true, accept(&x).then_some(x))
+        })
+        .collect();
+    let solved = results.iter().filter(|(solved, _)| *solved).count();
+    (results.into_iter().filter_map(|(_, x)| x).collect(), solved)
+}

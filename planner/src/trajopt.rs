@@ -1,0 +1,462 @@
+//! Trajectory optimisation on the constraint manifold.
+//!
+//! Minimises `sum |W_v dx|^2 + sum |W_a d(dx)|^2` plus hinge penalties for clearance and joint limits,
+//! subject to the AKR's chain constraint at every waypoint. Gauss-Newton steps are taken in the null
+//! space of the constraint's Jacobian (a reduced-space SQP; Nocedal and Wright, *Numerical
+//! Optimization*, 2006, section 18.3), so that the linear system is small and block-banded, and every
+//! iterate is projected back onto the manifold: the anchor is held exactly throughout.
+
+use nalgebra::{DMatrix, DVector, SVector};
+
+use crate::closure::Closure;
+use crate::collision::{Penalty, RobotBody};
+use crate::config::PlannerConfig;
+use crate::kinematics::{Kinematics, MAX_VARIABLES};
+use crate::world::World;
+
+/// Waypoints, each a configuration of the AKR.
+pub type Waypoints = Vec<Vec<f64>>;
+
+/// Weight of squared clearance hinges (per square metre) and limit hinges (per square radian).
+const CLEARANCE_WEIGHT: f64 = 4000.0;
+const LIMIT_WEIGHT: f64 = 100.0;
+/// Distance from a joint limit at which its hinge begins, rad or m.
+const LIMIT_MARGIN: f64 = 0.03;
+
+/// One problem: the same for all pairs of a grasp.
+pub struct Problem<'a> {
+    /// The compiled AKR; its last variable is the object's joint.
+    pub kinematics: &'a Kinematics,
+    /// The chain constraint.
+    pub closure: &'a Closure,
+    /// Robot spheres on it.
+    pub body: &'a RobotBody,
+    /// Distance fields.
+    pub world: &'a World,
+    /// Settings.
+    pub config: &'a PlannerConfig,
+    /// Squared weights of steps, per variable.
+    pub velocity_weights: Vec<f64>,
+    /// Squared weights of second differences, per variable.
+    pub acceleration_weights: Vec<f64>,
+    /// Share of each variable in projections.
+    pub mobility: Vec<f64>,
+}
+
+impl Problem<'_> {
+    /// Weights of a robot with `base` base variables from the settings' four classes.
+    pub fn weights(classes: [f64; 4], base: usize, dof: usize) -> Vec<f64> {
+        (0..dof)
+            .map(|i| match i {
+                _ if i + 1 == dof => classes[3],
+                _ if i < base.min(2) => classes[0],
+                2 if base == 3 => classes[1],
+                _ => classes[2],
+            })
+            .collect()
+    }
+
+    /// Waypoints from a start to a goal configuration: straight in the variables, with the object's joint
+    /// following a smooth profile, each projected onto the constraint. `None` where a projection fails.
+    pub fn straight(&self, start: &[f64], goal: &[f64]) -> Option<Waypoints> {
+        let last = self.config.waypoints - 1;
+        let mut path = vec![start.to_vec()];
+        for step in 1..=last {
+            let s = smooth(step as f64 / last as f64);
+            let mut x: Vec<f64> = start.iter().zip(goal).map(|(a, b)| a + (b - a) * s).collect();
+            // Half of the last correction is carried on: neighbours then settle on the same branch.
+            let straight_before = smooth((step - 1) as f64 / last as f64);
+            if step < last {
+                let before = &path[step - 1];
+                for (i, value) in x.iter_mut().enumerate().take(start.len() - 1) {
+                    let line = start[i] + (goal[i] - start[i]) * straight_before;
+                    *value += 0.9 * (before[i] - line);
+                }
+            }
+            self.closure.project(self.kinematics, &mut x, &self.mobility, true).then_some(())?;
+            path.push(x);
+        }
+        Some(path)
+    }
+
+    /// Follows the object's joint from a start configuration to `goal_q` by projection alone: the end
+    /// that is reached most naturally from this start.
+    pub fn follow(&self, start: &[f64], goal_q: f64) -> Option<Vec<f64>> {
+        let object = start.len() - 1;
+        let last = self.config.waypoints - 1;
+        let mut x = start.to_vec();
+        for step in 1..=last {
+            x[object] = start[object] + (goal_q - start[object]) * step as f64 / last as f64;
+            self.closure.project(self.kinematics, &mut x, &self.mobility, true).then_some(())?;
+        }
+        Some(x)
+    }
+
+    /// Optimises in place: the first waypoint stays, the last keeps the object's joint. Returns the final
+    /// clearance cost (square metres; 0 where every clearance is met).
+    pub fn optimise(&self, path: &mut Waypoints) -> f64 {
+        let mut damping = 1e-3;
+        let mut terms = self.terms(path);
+        let mut cost = self.total(path, &terms);
+        for _ in 0..self.config.iterations {
+            let Some(step) = self.step(path, &terms, damping) else { break };
+            let mut trial = path.clone();
+            let projected = self.apply(&mut trial, &step);
+            let trial_terms = self.terms(&trial);
+            let trial_cost = self.total(&trial, &trial_terms);
+            if projected && trial_cost < cost {
+                let gain = (cost - trial_cost) / cost.max(1e-12);
+                *path = trial;
+                terms = trial_terms;
+                cost = trial_cost;
+                damping = (damping * 0.3).max(1e-6);
+                if gain < 1e-4 {
+                    break;
+                }
+            } else {
+                damping *= 8.0;
+                if damping > 1e4 {
+                    break;
+                }
+            }
+        }
+        terms.iter().map(|t| t.cost).sum::<f64>() / CLEARANCE_WEIGHT
+    }
+
+    fn apply(&self, path: &mut Waypoints, step: &[SVector<f64, MAX_VARIABLES>]) -> bool {
+        let last = path.len() - 1;
+        let mut held = true;
+        for (t, x) in path.iter_mut().enumerate().skip(1) {
+            for (i, value) in x.iter_mut().enumerate() {
+                *value += step[t][i].clamp(-0.4, 0.4);
+            }
+            self.kinematics.clamp(x);
+            held &= self.closure.project(self.kinematics, x, &self.mobility, t == last);
+        }
+        held
+    }
+
+    /// Clearance and limit penalties of every waypoint.
+    fn terms(&self, path: &Waypoints) -> Vec<Penalty> {
+        path.iter().map(|x| self.waypoint_terms(x)).collect()
+    }
+
+    fn waypoint_terms(&self, x: &[f64]) -> Penalty {
+        let mut penalty = Penalty::zero();
+        let frames = self.kinematics.forward(x);
+        let object = x.len() - 1;
+        let margin = self.config.clearance_m;
+        self.body.penalty(self.kinematics, &frames, self.world, x, object, margin, &mut penalty);
+        penalty.cost *= CLEARANCE_WEIGHT;
+        penalty.gradient *= CLEARANCE_WEIGHT;
+        penalty.hessian *= CLEARANCE_WEIGHT;
+        let mut limits = Penalty::zero();
+        for i in 0..object {
+            let low = self.kinematics.lower()[i] + LIMIT_MARGIN - x[i];
+            let high = x[i] - (self.kinematics.upper()[i] - LIMIT_MARGIN);
+            for (hinge, sign) in [(low, -1.0), (high, 1.0)] {
+                if hinge > 0.0 {
+                    let mut row = SVector::zeros();
+                    row[i] = sign;
+                    limits.add(hinge, &row);
+                }
+            }
+        }
+        penalty.cost += LIMIT_WEIGHT * limits.cost;
+        penalty.gradient += limits.gradient * LIMIT_WEIGHT;
+        penalty.hessian += limits.hessian * LIMIT_WEIGHT;
+        penalty
+    }
+
+    fn total(&self, path: &Waypoints, terms: &[Penalty]) -> f64 {
+        let smoothness: f64 = (0..self.kinematics.dof())
+            .map(|i| {
+                let column: Vec<f64> = path.iter().map(|x| x[i]).collect();
+                let at = |t: isize| column[t.clamp(0, column.len() as isize - 1) as usize];
+                let steps: f64 = column.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+                // Rest before the first and after the last waypoint.
+                let bends: f64 = (0..column.len() as isize)
+                    .map(|t| (at(t + 1) - 2.0 * at(t) + at(t - 1)).powi(2))
+                    .sum();
+                self.velocity_weights[i] * steps + self.acceleration_weights[i] * bends
+            })
+            .sum();
+        smoothness + terms.iter().map(|t| t.cost).sum::<f64>()
+    }
+
+    /// A Gauss-Newton step in the null space of the constraints of waypoints 1..T.
+    fn step(
+        &self,
+        path: &Waypoints,
+        terms: &[Penalty],
+        damping: f64,
+    ) -> Option<Vec<SVector<f64, MAX_VARIABLES>>> {
+        let (count, dof) = (path.len(), self.kinematics.dof());
+        let bases: Vec<DMatrix<f64>> =
+            (1..count).map(|t| self.null_space(&path[t], t + 1 == count)).collect();
+        let offsets: Vec<usize> = bases
+            .iter()
+            .scan(0, |sum, basis| {
+                let offset = *sum;
+                *sum += basis.ncols();
+                Some(offset)
+            })
+            .collect();
+        let size: usize = bases.iter().map(DMatrix::ncols).sum();
+        let band = bases.iter().map(DMatrix::ncols).max().unwrap_or(0) * 3;
+        let mut system = Banded::new(size, band);
+        let mut right = DVector::zeros(size);
+        let stencil = self.stencil(count);
+        for t in 1..count {
+            let basis = &bases[t - 1];
+            let mut gradient = DVector::from_column_slice(&terms[t].gradient.as_slice()[..dof]);
+            for (other, x) in path.iter().enumerate() {
+                for i in 0..dof {
+                    gradient[i] += stencil.weight(self, t, other, i) * x[i];
+                }
+            }
+            let reduced = basis.tr_mul(&gradient);
+            right.rows_mut(offsets[t - 1], basis.ncols()).copy_from(&-reduced);
+            for s in t..count.min(t + 3) {
+                let mut block = DMatrix::from_diagonal(&DVector::from_fn(dof, |i, _| {
+                    stencil.weight(self, t, s, i)
+                }));
+                if s == t {
+                    block += terms[t].hessian.view((0, 0), (dof, dof));
+                    for i in 0..dof {
+                        block[(i, i)] +=
+                            damping * (self.velocity_weights[i] + self.acceleration_weights[i]);
+                    }
+                }
+                let reduced = bases[s - 1].tr_mul(&(block * basis));
+                system.add_block(offsets[s - 1], offsets[t - 1], &reduced);
+            }
+        }
+        system.solve(&mut right)?;
+        let mut steps = vec![SVector::<f64, MAX_VARIABLES>::zeros(); count];
+        for t in 1..count {
+            let basis = &bases[t - 1];
+            let y = right.rows(offsets[t - 1], basis.ncols());
+            steps[t].rows_mut(0, dof).copy_from(&(basis * y));
+        }
+        Some(steps)
+    }
+
+    /// Orthonormal basis `[dof, k]` of the directions that keep the constraint to first order.
+    fn null_space(&self, x: &[f64], hold_object: bool) -> DMatrix<f64> {
+        let dof = x.len();
+        let frames = self.kinematics.forward(x);
+        let jacobian = self.closure.linearise(self.kinematics, &frames).jacobian;
+        let rows = if hold_object { 7 } else { 6 };
+        let mut transposed = DMatrix::zeros(dof, rows);
+        transposed.view_mut((0, 0), (dof, 6)).copy_from(&jacobian.columns(0, dof).transpose());
+        if hold_object {
+            transposed[(dof - 1, 6)] = 1.0;
+        }
+        complement(&transposed)
+    }
+
+    fn stencil(&self, count: usize) -> Stencil {
+        Stencil::new(count)
+    }
+}
+
+/// Smooth profile from 0 to 1 with zero speed and acceleration at the ends (quintic).
+pub fn smooth(s: f64) -> f64 {
+    s * s * s * (10.0 + s * (6.0 * s - 15.0))
+}
+
+/// Second derivatives of the smoothness terms between waypoints.
+struct Stencil {
+    velocity: Vec<[f64; 3]>,
+    acceleration: Vec<[f64; 3]>,
+}
+
+impl Stencil {
+    fn new(count: usize) -> Self {
+        let n = count as isize;
+        let mut velocity = vec![[0.0; 3]; count];
+        let mut acceleration = vec![[0.0; 3]; count];
+        let add = |table: &mut Vec<[f64; 3]>, terms: &[(isize, f64)]| {
+            for &(a, wa) in terms {
+                for &(b, wb) in terms {
+                    let (a, b) = (a.clamp(0, n - 1), b.clamp(0, n - 1));
+                    if b >= a {
+                        table[a as usize][(b - a) as usize] += wa * wb;
+                    }
+                }
+            }
+        };
+        for t in 0..n - 1 {
+            add(&mut velocity, &[(t, -1.0), (t + 1, 1.0)]);
+        }
+        for t in 0..n {
+            // At the ends two of the three coincide: the path is at rest before and after.
+            let mut terms = [(t - 1, 1.0), (t, -2.0), (t + 1, 1.0)];
+            terms.iter_mut().for_each(|(at, _)| *at = (*at).clamp(0, n - 1));
+            add(&mut acceleration, &merged(&terms));
+        }
+        Self { velocity, acceleration }
+    }
+
+    fn weight(&self, problem: &Problem<'_>, t: usize, s: usize, variable: usize) -> f64 {
+        let (first, gap) = (t.min(s), t.abs_diff(s));
+        if gap > 2 {
+            return 0.0;
+        }
+        problem.velocity_weights[variable] * self.velocity[first][gap]
+            + problem.acceleration_weights[variable] * self.acceleration[first][gap]
+    }
+}
+
+fn merged(terms: &[(isize, f64)]) -> Vec<(isize, f64)> {
+    let mut out: Vec<(isize, f64)> = Vec::new();
+    for &(at, weight) in terms {
+        match out.iter_mut().find(|(other, _)| *other == at) {
+            Some((_, sum)) => *sum += weight,
+            None => out.push((at, weight)),
+        }
+    }
+    out
+}
+
+/// Orthonormal basis of the orthogonal complement of the columns of `matrix` `[n, k]`, by Householder
+/// reflections with column pivoting (Golub and Van Loan, *Matrix Computations*, 2013, section 5.4).
+fn complement(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let (n, k) = matrix.shape();
+    let mut work = matrix.clone();
+    let mut reflectors: Vec<DVector<f64>> = Vec::new();
+    for column in 0..k.min(n) {
+        let norm = |c: usize, work: &DMatrix<f64>| work.view((column, c), (n - column, 1)).norm();
+        let pivot = (column..k)
+            .max_by(|&a, &b| norm(a, &work).total_cmp(&norm(b, &work)))
+            .unwrap_or(column);
+        work.swap_columns(column, pivot);
+        let length = norm(column, &work);
+        if length < 1e-9 {
+            break;
+        }
+        let mut v = DVector::zeros(n);
+        v.rows_mut(column, n - column).copy_from(&work.view((column, column), (n - column, 1)));
+        v[column] += length.copysign(v[column]);
+        v.normalize_mut();
+        for c in column..k {
+            let dot = v.dot(&work.column(c));
+            work.column_mut(c).axpy(-2.0 * dot, &v, 1.0);
+        }
+        reflectors.push(v);
+    }
+    let rank = reflectors.len();
+    let mut basis = DMatrix::zeros(n, n - rank);
+    for c in 0..n - rank {
+        basis[(rank + c, c)] = 1.0;
+    }
+    for v in reflectors.iter().rev() {
+        for c in 0..basis.ncols() {
+            let dot = v.dot(&basis.column(c));
+            basis.column_mut(c).axpy(-2.0 * dot, v, 1.0);
+        }
+    }
+    basis
+}
+
+/// A symmetric positive definite band matrix: lower part, rows of `band + 1` entries.
+struct Banded {
+    size: usize,
+    band: usize,
+    values: Vec<f64>,
+}
+
+impl Banded {
+    fn new(size: usize, band: usize) -> Self {
+        Self { size, band, values: vec![0.0; size * (band + 1)] }
+    }
+
+    fn at(&mut self, row: usize, column: usize) -> &mut f64 {
+        &mut self.values[row * (self.band + 1) + column + self.band - row]
+    }
+
+    /// Adds a block whose top left corner is at (`row`, `column`), on or below the diagonal.
+    fn add_block(&mut self, row: usize, column: usize, block: &DMatrix<f64>) {
+        for i in 0..block.nrows() {
+            for j in 0..block.ncols() {
+                if column + j <= row + i {
+                    *self.at(row + i, column + j) += block[(i, j)];
+                }
+            }
+        }
+    }
+
+    /// Cholesky factorisation and solution in place; `None` if the matrix is not positive definite.
+    fn solve(mut self, right: &mut DVector<f64>) -> Option<()> {
+        for i in 0..self.size {
+            let first = i.saturating_sub(self.band);
+            for j in first..=i {
+                let start = first.max(j.saturating_sub(self.band));
+                let mut sum = *self.at(i, j);
+                for k in start..j {
+                    sum -= *self.at(i, k) * *self.at(j, k);
+                }
+                if i == j {
+                    if sum <= 0.0 || !sum.is_finite() {
+                        return None;
+                    }
+                    *self.at(i, i) = sum.sqrt();
+                } else {
+                    *self.at(i, j) = sum / *self.at(j, j);
+                }
+            }
+        }
+        for i in 0..self.size {
+            let mut sum = right[i];
+            for k in i.saturating_sub(self.band)..i {
+                sum -= *self.at(i, k) * right[k];
+            }
+            right[i] = sum / *self.at(i, i);
+        }
+        for i in (0..self.size).rev() {
+            let mut sum = right[i];
+            for k in i + 1..self.size.min(i + self.band + 1) {
+                sum -= *self.at(k, i) * right[k];
+            }
+            right[i] = sum / *self.at(i, i);
+        }
+        Some(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn complement_is_orthonormal_and_orthogonal() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let matrix = DMatrix::from_fn(11, 7, |_, _| rng.random_range(-1.0..1.0));
+        let basis = complement(&matrix);
+        assert_eq!(basis.ncols(), 4);
+        assert!((basis.tr_mul(&basis) - DMatrix::identity(4, 4)).amax() < 1e-12);
+        assert!(matrix.tr_mul(&basis).amax() < 1e-12);
+    }
+
+    #[test]
+    fn banded_solver_agrees_with_a_dense_one() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(6);
+        let (n, band) = (20, 4);
+        let mut dense = DMatrix::zeros(n, n);
+        let mut banded = Banded::new(n, band);
+        for i in 0..n {
+            for j in i.saturating_sub(band)..=i {
+                let value = if i == j { 10.0 } else { rng.random_range(-1.0..1.0) };
+                (dense[(i, j)], dense[(j, i)]) = (value, value);
+                *banded.at(i, j) = value;
+            }
+        }
+        let right = DVector::from_fn(n, |_, _| rng.random_range(-1.0..1.0));
+        let mut ours = right.clone();
+        banded.solve(&mut ours).unwrap();
+        let theirs = dense.lu().solve(&right).unwrap();
+        assert!((ours - theirs).amax() < 1e-12);
+    }
+}
