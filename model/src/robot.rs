@@ -153,6 +153,10 @@ pub struct Robot {
     pub file: RobotFile,
     /// Resolved path of the URDF.
     pub urdf_path: PathBuf,
+    /// Resolved path of the collision sphere file, if the robot file names one.
+    pub spheres_path: Option<PathBuf>,
+    /// Repairs made while loading, in the user's words.
+    pub notes: Vec<String>,
     /// Indices of the base joints x, y, yaw; empty for a fixed base.
     pub base_joints: Vec<usize>,
     /// Indices of the arm joints.

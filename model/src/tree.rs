@@ -4,6 +4,8 @@ use nalgebra::{Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::{ModelError, Part, Pose};
 
+mod scale;
+
 /// How a joint moves its child.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
