@@ -3,9 +3,13 @@
 //! Files appear under their final name only when they are whole: they are written under a
 //! temporary name in the same folder, synced and renamed. The same input gives the same bytes.
 
+pub mod episode;
 pub mod error;
 mod h5;
+pub mod shard;
 pub mod trajectory_file;
 mod whole_file;
 
+pub use episode::{Attachment, DepthEncoding, EpisodeInfo};
 pub use error::PackError;
+pub use shard::ShardWriter;

@@ -52,3 +52,27 @@ pub(crate) fn write_error(path: &Path, item: &str, error: &hdf5::Error) -> PackE
 pub(crate) fn read_error(path: &Path, item: &str, error: &hdf5::Error) -> PackError {
     PackError::damaged(path, format!("{item}: {}", message(error)))
 }
+
+/// Writes a chunk that is already encoded for the dataset's filters, at element `offset`.
+pub(crate) fn write_chunk(
+    dataset: &hdf5::Dataset,
+    offset: &[u64],
+    chunk: &crate::shard::codec::EncodedChunk,
+) -> hdf5::Result<()> {
+    assert_eq!(offset.len(), dataset.ndim(), "one offset per axis");
+    hdf5::sync::sync(|| {
+        // SAFETY: the dataset is open, `offset` has one value per axis, and `bytes` outlives the call,
+        // which reads exactly its length.
+        let status = unsafe {
+            hdf5_sys::h5d::H5Dwrite_chunk(
+                dataset.id(),
+                hdf5_sys::h5p::H5P_DEFAULT,
+                chunk.skipped_filters,
+                offset.as_ptr(),
+                chunk.bytes.len(),
+                chunk.bytes.as_ptr().cast(),
+            )
+        };
+        if status < 0 { Err(hdf5::Error::query()?) } else { Ok(()) }
+    })
+}

@@ -11,15 +11,6 @@ use super::{DEFLATE_LEVEL, write_error};
 use crate::error::{PackError, Result};
 use crate::whole_file::PartialFile;
 
-/// How the chunks of a dataset are stored. Checksums are always there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Filters {
-    /// Byte shuffle, deflate, Fletcher-32.
-    Deflate,
-    /// Fletcher-32 alone: for what does not shrink or is too small to matter.
-    Checksum,
-}
-
 /// Values of a chunk that holds many short rows.
 const CHUNK_VALUES: usize = 1 << 16;
 
@@ -98,6 +89,12 @@ impl GroupWriter {
         Ok(Self { group, path: self.path.clone() })
     }
 
+    /// A group that was made before.
+    pub fn existing(&self, name: &str) -> Result<Self> {
+        let group = self.group.group(name).map_err(self.error(name))?;
+        Ok(Self { group, path: self.path.clone() })
+    }
+
     /// A second name, `name` below this group, for the object at the absolute path `target`.
     pub fn link(&self, target: &str, name: &str) -> Result<()> {
         self.group.link_hard(target, name).map_err(self.error(name))
@@ -109,14 +106,13 @@ impl GroupWriter {
         name: &str,
         shape: &[usize],
         chunk: &[usize],
-        filters: Filters,
     ) -> Result<Dataset> {
-        let mut builder =
-            self.group.new_dataset_builder().obj_track_times(false).chunk(chunk.to_vec());
-        if filters == Filters::Deflate {
-            builder = builder.shuffle().deflate(DEFLATE_LEVEL);
-        }
-        builder
+        self.group
+            .new_dataset_builder()
+            .obj_track_times(false)
+            .chunk(chunk.to_vec())
+            .shuffle()
+            .deflate(DEFLATE_LEVEL)
             .fletcher32()
             .empty::<T>()
             .shape(shape.to_vec())
@@ -142,7 +138,7 @@ impl GroupWriter {
         let row = count / shape[0];
         let mut chunk = shape.to_vec();
         chunk[0] = (CHUNK_VALUES / row).clamp(1, shape[0]);
-        let dataset = self.chunked::<T>(name, shape, &chunk, Filters::Deflate)?;
+        let dataset = self.chunked::<T>(name, shape, &chunk)?;
         dataset.write_raw(values).map_err(self.error(name))?;
         Ok(dataset)
     }
