@@ -1,5 +1,6 @@
 //! What can go wrong while rendering.
 
+use akrobat_cameras::RigError;
 use akrobat_model::ModelError;
 
 /// Why frames could not be rendered.
@@ -8,6 +9,9 @@ pub enum RenderError {
     /// A file, a name or a value of the user's input is wrong.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// The rig is invalid or does not fit the robot.
+    #[error(transparent)]
+    Rig(#[from] RigError),
     /// The trajectory does not belong to this task, or is not whole.
     #[error("trajectory {id}: {message}")]
     Trajectory {

@@ -7,8 +7,13 @@ pub mod backend;
 mod clusters;
 pub mod compare;
 pub mod error;
+pub mod handle;
+pub mod observe;
+pub mod placement;
+pub mod pointcloud;
 #[cfg(feature = "wgpu")]
 pub mod raster;
+mod raycast;
 pub mod replay;
 pub mod scene;
 pub mod soft;
@@ -16,6 +21,7 @@ mod srgb;
 
 pub use backend::{Backend, PlacedCamera};
 pub use error::RenderError;
+pub use observe::{Episode, EpisodeConfig, EpisodeRenderer};
 pub use replay::FrameState;
 pub use scene::{BodyGroup, Lighting, RenderBody, RenderScene};
 pub use soft::SoftBackend;

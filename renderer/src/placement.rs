@@ -1,0 +1,187 @@
+//! From a rig to cameras at their places.
+
+use akrobat_cameras::{CameraMount, CameraSpec, Rig};
+use akrobat_model::pose::from_xyz_wxyz;
+use akrobat_model::task::Task;
+use akrobat_model::{ModelError, Pose};
+use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::backend::PlacedCamera;
+use crate::handle::{HANDLE_DEPTH_TOLERANCE_M, Handle};
+use crate::raycast::first_hit;
+use crate::replay::base_link;
+use crate::{FrameState, RenderError, RenderScene};
+
+/// What a camera moves with.
+#[derive(Debug, Clone, Copy)]
+enum Anchor {
+    /// The tool frame, and the camera in it.
+    Tool(Pose),
+    /// A link of the robot's tree, and the camera in it.
+    Link(usize, Pose),
+    /// The world, and the camera in it.
+    World(Pose),
+}
+
+/// A rig's cameras on a robot, in a world.
+#[derive(Debug, Clone)]
+pub struct PlacedRig {
+    cameras: Vec<(CameraSpec, Anchor)>,
+}
+
+impl PlacedRig {
+    /// Mounts a rig for one trajectory.
+    ///
+    /// `keyframes` are some frames of the trajectory, in order: cameras that look at the handle are placed so that
+    /// they see it in as many of them as possible.
+    ///
+    /// # Errors
+    /// [`RenderError::Rig`] where the rig is invalid or names a link that the robot does not have.
+    ///
+    /// # Panics
+    /// Without keyframes.
+    pub fn new(
+        rig: &Rig,
+        task: &Task,
+        scene: &RenderScene,
+        handle: &Handle,
+        keyframes: &[FrameState],
+    ) -> Result<Self, RenderError> {
+        rig.validate(&rig.name)?;
+        rig.validate_links(task.robot.tree.links().iter().map(|link| link.name.as_str()))?;
+        let anchor = |camera: &CameraSpec| -> Result<Anchor, RenderError> {
+            Ok(match &camera.mount {
+                CameraMount::Link { link, link_from_camera } => {
+                    link_anchor(task, link, pose_of(camera, link_from_camera)?)?
+                }
+                CameraMount::World { world_from_camera } => {
+                    Anchor::World(pose_of(camera, world_from_camera)?)
+                }
+                CameraMount::LookAtHandle { offset } => {
+                    Anchor::World(look_at_handle(scene, handle, keyframes, *offset))
+                }
+            })
+        };
+        let cameras = rig.cameras.iter().map(|camera| Ok((camera.clone(), anchor(camera)?)));
+        Ok(Self { cameras: cameras.collect::<Result<_, RenderError>>()? })
+    }
+
+    /// The cameras at one frame, in the rig's order.
+    pub fn at(&self, frame: &FrameState) -> Vec<PlacedCamera> {
+        let place = |(camera, anchor): &(CameraSpec, Anchor)| PlacedCamera {
+            name: camera.name.clone(),
+            intrinsics: camera.intrinsics(),
+            near_m: camera.near_m,
+            far_m: camera.far_m,
+            world_from_camera: match *anchor {
+                Anchor::Tool(tool_from_camera) => frame.world_from_tool * tool_from_camera,
+                Anchor::Link(link, link_from_camera) => {
+                    frame.world_from_robot_link[link] * link_from_camera
+                }
+                Anchor::World(world_from_camera) => world_from_camera,
+            },
+        };
+        self.cameras.iter().map(place).collect()
+    }
+}
+
+fn pose_of(camera: &CameraSpec, values: &[f64; 7]) -> Result<Pose, ModelError> {
+    from_xyz_wxyz(*values).ok_or_else(|| {
+        ModelError::bad_value(&camera.name, format!("expected a pose, found {values:?}"))
+    })
+}
+
+fn link_anchor(task: &Task, link: &str, link_from_camera: Pose) -> Result<Anchor, ModelError> {
+    let robot = &task.robot;
+    Ok(match link {
+        "tool" => Anchor::Tool(link_from_camera),
+        "base" => Anchor::Link(base_link(task), link_from_camera),
+        "mount" => {
+            let first = robot.arm_joints.first();
+            let mount = first.map_or(robot.tree.root(), |&joint| robot.tree.joints()[joint].parent);
+            Anchor::Link(mount, link_from_camera)
+        }
+        name => Anchor::Link(robot.tree.link_index(name)?, link_from_camera),
+    })
+}
+
+/// Offsets that are tried, as factors of the one asked for (out, sideways, up) and metres added on top:
+/// as asked, to the other side, nearer, higher, in front.
+const ALTERNATIVES: [([f64; 3], f64); 14] = [
+    ([1.0, 1.0, 1.0], 0.0),
+    ([1.0, -1.0, 1.0], 0.0),
+    ([0.75, 0.75, 0.75], 0.0),
+    ([0.75, -0.75, 0.75], 0.0),
+    ([1.0, 1.0, 1.0], 0.5),
+    ([1.0, -1.0, 1.0], 0.5),
+    ([0.75, 1.5, 1.0], 0.0),
+    ([0.75, -1.5, 1.0], 0.0),
+    ([0.5, 1.5, 1.0], 0.3),
+    ([0.5, -1.5, 1.0], 0.3),
+    ([0.5, 0.5, 0.5], 0.0),
+    ([0.5, -0.5, 0.5], 0.0),
+    ([1.0, 0.0, 1.0], 0.5),
+    ([0.5, 0.0, 1.0], 0.5),
+];
+
+/// A pose from which the handle is seen in most of the keyframes: of equally good ones the first.
+fn look_at_handle(
+    scene: &RenderScene,
+    handle: &Handle,
+    keyframes: &[FrameState],
+    offset: [f64; 3],
+) -> Pose {
+    let positions: Vec<Point3<f64>> = keyframes.iter().map(|f| handle.position(f)).collect();
+    let target = middle(&positions);
+    let outward = outward_yaw(handle, &keyframes[0]);
+    let mut best = (0, Point3::origin());
+    for (index, (factor, raised)) in ALTERNATIVES.iter().enumerate() {
+        let [out, side, up]: [f64; 3] = std::array::from_fn(|i| offset[i] * factor[i]);
+        let eye = target + outward * Vector3::new(out, side, up + raised);
+        let sees = |(frame, position): &(&FrameState, &Point3<f64>)| {
+            first_hit(scene, &frame.world_from_body, &eye, position)
+                .is_none_or(|hit| hit >= (*position - eye).norm() - HANDLE_DEPTH_TOLERANCE_M)
+        };
+        let seen = keyframes.iter().zip(&positions).filter(sees).count();
+        if index == 0 || seen > best.0 {
+            best = (seen, eye);
+        }
+        if seen == keyframes.len() {
+            break;
+        }
+    }
+    look_at(&best.1, &target)
+}
+
+/// Centre of the bounding box of some points.
+fn middle(points: &[Point3<f64>]) -> Point3<f64> {
+    let (mut low, mut high) = (points[0], points[0]);
+    for point in points {
+        low = low.inf(point);
+        high = high.sup(point);
+    }
+    nalgebra::center(&low, &high)
+}
+
+/// Rotation about the vertical that takes x to the horizontal direction out of the object: against the tool's
+/// approach; where that is vertical, from the handle to the robot's base.
+fn outward_yaw(handle: &Handle, frame: &FrameState) -> Rotation3<f64> {
+    let grasp = handle.world_from_grasp(frame);
+    let against_approach = -(grasp * Vector3::z());
+    let to_base = frame.world_from_base.translation.vector - grasp.translation.vector;
+    let level = against_approach.xy().norm() > 0.3;
+    let outward = if level { against_approach } else { to_base };
+    Rotation3::from_axis_angle(&Vector3::z_axis(), outward.y.atan2(outward.x))
+}
+
+/// Camera pose at `eye` looking at `target`, upright.
+fn look_at(eye: &Point3<f64>, target: &Point3<f64>) -> Pose {
+    let forward = (target - eye).try_normalize(1e-9).unwrap_or_else(Vector3::x);
+    let right = forward.cross(&Vector3::z()).try_normalize(1e-9).unwrap_or_else(Vector3::y);
+    let down = forward.cross(&right);
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
+    Pose::from_parts(
+        Translation3::from(eye.coords),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    )
+}
