@@ -139,12 +139,12 @@ impl Obstacle {
     }
 }
 
-/// The solids of a robot link, in the link's frame: the convex parts of its collision shapes, or the
+/// The solids of a link, in the link's frame: the convex parts of its collision shapes, or the
 /// convex hull of a shape that is not convex; of its visuals where it has no collision shapes.
 ///
 /// # Errors
 /// [`JudgeError::Shape`].
-pub fn robot_solids(link: &Link, notes: &mut Vec<String>) -> Result<Vec<ConvexPiece>, JudgeError> {
+pub fn link_solids(link: &Link, notes: &mut Vec<String>) -> Result<Vec<ConvexPiece>, JudgeError> {
     let parts = if link.collisions.is_empty() { &link.visuals } else { &link.collisions };
     let mut solids = Vec::new();
     for part in parts {

@@ -104,7 +104,12 @@ impl DepthProbe {
     ///
     /// Depth is concave over the triangle, so cutting away what is less deep than the centre converges
     /// on the maximum (the centre-of-gravity method).
-    pub fn deepest(&mut self, planes: &[Plane], triangle: &[Vector; 3], floor_m: f64) -> Option<Deepest> {
+    pub fn deepest(
+        &mut self,
+        planes: &[Plane],
+        triangle: &[Vector; 3],
+        floor_m: f64,
+    ) -> Option<Deepest> {
         self.polygon.clear();
         self.polygon.extend_from_slice(triangle);
         let mut best: Option<Deepest> = None;

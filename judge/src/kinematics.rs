@@ -54,12 +54,9 @@ impl Frame {
     /// small angles.
     pub fn angle(&self) -> f64 {
         let m = &self.rotation;
-        let twice_sine = Vector::new(
-            m.y_axis.z - m.z_axis.y,
-            m.z_axis.x - m.x_axis.z,
-            m.x_axis.y - m.y_axis.x,
-        )
-        .length();
+        let twice_sine =
+            Vector::new(m.y_axis.z - m.z_axis.y, m.z_axis.x - m.x_axis.z, m.x_axis.y - m.y_axis.x)
+                .length();
         twice_sine.atan2(m.x_axis.x + m.y_axis.y + m.z_axis.z - 1.0)
     }
 }
@@ -190,11 +187,51 @@ mod tests {
         };
         let mut joints = vec![
             // The parent is listed after the child: the order of the file must not matter.
-            joint("c", JointKind::Revolute, 2, 3, [0.1, 0.2, 0.3], [0.3, -0.2, 1.0], [1.0, 2.0, 3.0]),
-            joint("a", JointKind::Prismatic, 0, 1, [0.0, 0.1, 0.0], [0.0, 0.5, 0.0], [0.0, 1.0, 1.0]),
-            joint("b", JointKind::Continuous, 1, 2, [0.4, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
-            joint("fixed", JointKind::Fixed, 2, 4, [0.0, 0.0, 0.5], [0.0, 0.0, 2.0], [1.0, 0.0, 0.0]),
-            joint("m", JointKind::Prismatic, 4, 5, [0.0, 0.3, 0.0], [0.1, 0.1, 0.1], [1.0, 0.0, 0.0]),
+            joint(
+                "c",
+                JointKind::Revolute,
+                2,
+                3,
+                [0.1, 0.2, 0.3],
+                [0.3, -0.2, 1.0],
+                [1.0, 2.0, 3.0],
+            ),
+            joint(
+                "a",
+                JointKind::Prismatic,
+                0,
+                1,
+                [0.0, 0.1, 0.0],
+                [0.0, 0.5, 0.0],
+                [0.0, 1.0, 1.0],
+            ),
+            joint(
+                "b",
+                JointKind::Continuous,
+                1,
+                2,
+                [0.4, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [0.0, 0.0, 1.0],
+            ),
+            joint(
+                "fixed",
+                JointKind::Fixed,
+                2,
+                4,
+                [0.0, 0.0, 0.5],
+                [0.0, 0.0, 2.0],
+                [1.0, 0.0, 0.0],
+            ),
+            joint(
+                "m",
+                JointKind::Prismatic,
+                4,
+                5,
+                [0.0, 0.3, 0.0],
+                [0.1, 0.1, 0.1],
+                [1.0, 0.0, 0.0],
+            ),
         ];
         joints[4].mimic = Some(Mimic { joint: 0, multiplier: -0.5, offset: 0.2 });
         let links = ["l0", "l1", "l2", "l3", "l4", "l5"].map(link).to_vec();

@@ -34,7 +34,8 @@ impl Triangles {
                 let mut all = Self::default();
                 for mesh in meshes.iter() {
                     let first = all.vertices.len() as u32;
-                    all.vertices.extend(mesh.positions.iter().map(|p| Vector::from(p.map(f64::from))));
+                    all.vertices
+                        .extend(mesh.positions.iter().map(|p| Vector::from(p.map(f64::from))));
                     all.indices.extend(mesh.triangles.iter().map(|t| t.map(|v| v + first)));
                 }
                 all
@@ -167,7 +168,8 @@ fn primitive_corners(shape: &Shape) -> Vec<Vector> {
             .collect(),
         Shape::Sphere { radius } => (0..=RINGS)
             .flat_map(|ring| {
-                let (ring_radius, z) = (std::f64::consts::PI * ring as f64 / RINGS as f64).sin_cos();
+                let (ring_radius, z) =
+                    (std::f64::consts::PI * ring as f64 / RINGS as f64).sin_cos();
                 circle(SIDES).map(move |(sin, cos)| {
                     Vector::new(ring_radius * cos, ring_radius * sin, z) * *radius
                 })
@@ -192,7 +194,11 @@ pub(crate) mod tests {
     fn cube_mesh(offset: f32) -> TriMesh {
         let triangles = Triangles::of_part(&part(Shape::Box { size: [1.0; 3] }));
         TriMesh {
-            positions: triangles.vertices.iter().map(|v| [v.x as f32 + offset, v.y as f32, v.z as f32]).collect(),
+            positions: triangles
+                .vertices
+                .iter()
+                .map(|v| [v.x as f32 + offset, v.y as f32, v.z as f32])
+                .collect(),
             triangles: triangles.indices,
             ..TriMesh::default()
         }
@@ -227,7 +233,8 @@ pub(crate) mod tests {
     fn faces_with_their_own_vertices_are_welded() {
         let shared = mesh(vec![cube_mesh(0.0)]);
         let vertices: Vec<Vector> = shared.corners().flatten().collect();
-        let indices = (0..vertices.len() as u32 / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let indices =
+            (0..vertices.len() as u32 / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
         let split = Triangles { vertices, indices };
         assert_eq!(split.convex_components().unwrap().len(), 1);
     }
@@ -239,9 +246,12 @@ pub(crate) mod tests {
         assert!(mesh(vec![open]).convex_components().is_none());
         // An L of two cubes with a common face edge, welded into one mesh: the hull is larger.
         let mut corner = mesh(vec![cube_mesh(0.0), cube_mesh(1.0)]);
-        let above: Vec<Vector> = mesh(vec![cube_mesh(0.0)]).vertices.iter().map(|v| *v + Vector::Z).collect();
+        let above: Vec<Vector> =
+            mesh(vec![cube_mesh(0.0)]).vertices.iter().map(|v| *v + Vector::Z).collect();
         let first = corner.vertices.len() as u32;
-        corner.indices.extend(mesh(vec![cube_mesh(0.0)]).indices.iter().map(|t| t.map(|v| v + first)));
+        corner
+            .indices
+            .extend(mesh(vec![cube_mesh(0.0)]).indices.iter().map(|t| t.map(|v| v + first)));
         corner.vertices.extend(above);
         let welded = corner.welded();
         for triangle in &mut corner.indices {

@@ -1,0 +1,339 @@
+//! Puts the checks together.
+
+use akrobat_model::robot::Robot;
+use akrobat_model::task::Task;
+use akrobat_model::trajectory::ContactException;
+use akrobat_model::{Phase, Trajectory, Verdict};
+
+use crate::bodies::{Obstacle, link_solids};
+use crate::contacts::{ContactTable, LinkPairs, RobotGroups, contact_table};
+use crate::convex::ConvexPiece;
+use crate::finding::Finding;
+use crate::kinematics::{Frame, Kinematics};
+use crate::meshes::{self, Region};
+use crate::motion::{AnchorFrames, Motion};
+use crate::object::{self, StartDepths};
+use crate::path::{Configuration, Place, configurations};
+use crate::spheres::{self, RobotSphere};
+use crate::structure;
+use crate::{JudgeConfig, JudgeError};
+
+/// Robot, object and scene, prepared for the collision checks.
+pub struct Geometry {
+    /// Robot link names, for reports.
+    pub link_names: Vec<String>,
+    /// Collision spheres.
+    pub spheres: Vec<RobotSphere>,
+    /// Pairs of spheres that must not overlap.
+    pub sphere_pairs: Vec<(usize, usize)>,
+    /// Solids of the robot, each with its link.
+    pub robot_solids: Vec<(usize, ConvexPiece)>,
+    /// Pairs of robot solids that must not enter each other.
+    pub solid_pairs: Vec<(usize, usize)>,
+    /// The scene, then each link of the object.
+    pub obstacles: Vec<Obstacle>,
+    /// By robot link and obstacle.
+    pub contacts: ContactTable,
+    /// Bounds of the handle in the held link's frame.
+    pub handle_region: Option<Region>,
+    /// For each object link, whether the driven joint moves it.
+    pub moving_links: Vec<bool>,
+    /// Names of the object's links, for reports.
+    pub object_link_names: Vec<String>,
+    /// Solids that the driven joint moves, each with its object link.
+    pub moving_solids: Vec<(usize, ConvexPiece)>,
+    /// How deep they are in everything else at the start.
+    pub start_depths: StartDepths,
+}
+
+impl Geometry {
+    /// True for obstacles that the driven joint moves.
+    pub fn is_moving_obstacle(&self, obstacle: usize) -> bool {
+        obstacle > 0 && self.moving_links[obstacle - 1]
+    }
+}
+
+/// Where everything is in one configuration.
+pub struct Scenery {
+    /// Where on the path.
+    pub place: Place,
+    /// World frames of the robot's links.
+    pub robot: Vec<Frame>,
+    /// World frames of the object's links.
+    pub object: Vec<Frame>,
+    /// For each obstacle.
+    pub obstacle_from_world: Vec<Frame>,
+}
+
+/// Judges trajectories of one task. It is built once and used from any number of threads.
+pub struct Judge {
+    task: Task,
+    config: JudgeConfig,
+    robot: Kinematics,
+    object: Kinematics,
+    geometry: Geometry,
+    notes: Vec<String>,
+}
+
+impl Judge {
+    /// Prepares the geometry of a task.
+    ///
+    /// `spheres` are the robot's collision spheres, `exceptions` the only robot-object pairs that may
+    /// touch. What else may touch, and is listed in [`Judge::notes`]: robot links that are attached to
+    /// each other or joined by one moving joint, the fingers, pairs of the robot file, pairs that touch
+    /// in the robot's rest configuration, and the links of the base with scene bodies whose class names
+    /// a floor or ground.
+    ///
+    /// # Errors
+    /// Where a tolerance, a sphere, an exception or a collision shape is not valid.
+    pub fn new(
+        task: &Task,
+        spheres: &[RobotSphere],
+        exceptions: &[ContactException],
+        config: JudgeConfig,
+    ) -> Result<Self, JudgeError> {
+        config.validate()?;
+        check_spheres(spheres, &task.robot)?;
+        let mut notes = Vec::new();
+        let robot = Kinematics::new(&task.robot.tree, &task.robot.world_from_root);
+        let object = Kinematics::new(&task.object.tree, &task.object.world_from_root);
+        let groups = RobotGroups::new(&task.robot);
+        let mut geometry = geometry(task, spheres, exceptions, &groups, &mut notes)?;
+
+        let rest = robot.link_frames(&task.robot.rest);
+        let mut sphere_links = LinkPairs::new(&task.robot, &groups);
+        let mut solid_links = sphere_links.clone();
+        geometry.sphere_pairs = spheres::pairs(spheres, &sphere_links);
+        geometry.solid_pairs =
+            meshes::pairs(geometry.robot_solids.iter().map(|s| s.0), &solid_links);
+        let overlapping = spheres::overlapping_links(spheres, &geometry.sphere_pairs, &rest);
+        let penetrating = meshes::penetrating_links(&geometry, &rest, config.penetration_m);
+        mask(&mut sphere_links, &overlapping, "spheres", &geometry.link_names, &mut notes);
+        mask(&mut solid_links, &penetrating, "meshes", &geometry.link_names, &mut notes);
+        geometry.sphere_pairs = spheres::pairs(spheres, &sphere_links);
+        geometry.solid_pairs =
+            meshes::pairs(geometry.robot_solids.iter().map(|s| s.0), &solid_links);
+
+        let start = Scenery::new(
+            Place { sample: 0.0, time_s: 0.0, phase: Phase::Approach },
+            rest,
+            object.link_frames(&task.object.start),
+        );
+        geometry.start_depths = object::start_depths(&geometry, &start);
+        Ok(Self { task: task.clone(), config, robot, object, geometry, notes })
+    }
+
+    /// What the user should know about how the geometry is judged, in the user's words.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// The tolerances.
+    pub fn config(&self) -> &JudgeConfig {
+        &self.config
+    }
+
+    /// Judges the dense path and the waypoints as they are stored.
+    ///
+    /// The reason given is the first in the order of [`akrobat_model::Rejection`]. A trajectory that
+    /// fails a check that needs no geometry is not looked at further, one with a colliding sphere not
+    /// for penetration: what was not looked for is 0 in the verdict.
+    pub fn judge(&self, trajectory: &Trajectory) -> Verdict {
+        let mut verdict = Verdict {
+            rejection: None,
+            detail: String::new(),
+            anchor_translation_m: 0.0,
+            anchor_rotation_rad: 0.0,
+            velocity_fraction: 0.0,
+            acceleration_fraction: 0.0,
+            base_yaw_rad: 0.0,
+            penetration_m: 0.0,
+            samples: 0,
+        };
+        if let Err(finding) = self.examine(trajectory, &mut verdict) {
+            verdict.rejection = Some(finding.rejection);
+            verdict.detail = finding.detail;
+        }
+        verdict
+    }
+
+    fn examine(&self, trajectory: &Trajectory, verdict: &mut Verdict) -> Result<(), Finding> {
+        let robot_columns = self.task.robot.trajectory_joints().len();
+        structure::check(trajectory, robot_columns, self.task.object.tree.dof())?;
+        let held_link = self.held_link(trajectory)?;
+        let configurations = configurations(trajectory, self.config.configurations_between);
+        let sceneries: Vec<Scenery> = configurations.iter().map(|c| self.scenery(c)).collect();
+        verdict.samples = configurations.len() as u32;
+
+        let motion = self.motion(trajectory, held_link, &configurations, &sceneries);
+        verdict.anchor_translation_m = motion.anchor_translation_m;
+        verdict.anchor_rotation_rad = motion.anchor_rotation_rad;
+        verdict.velocity_fraction = motion.velocity_fraction;
+        verdict.acceleration_fraction = motion.acceleration_fraction;
+        verdict.base_yaw_rad = motion.base_yaw_rad;
+        refuse_first(motion.findings.into_iter().min_by_key(|finding| finding.rejection))?;
+
+        refuse_first(spheres::check(&self.geometry, &sceneries, self.config.sphere_tolerance_m))?;
+        let penetration = meshes::deepest(&self.geometry, &sceneries);
+        verdict.penetration_m = penetration.depth_m;
+        refuse_first(meshes::finding(&penetration, self.config.penetration_m))?;
+        refuse_first(object::check(&self.geometry, &sceneries, self.config.penetration_m))
+    }
+
+    fn motion(
+        &self,
+        trajectory: &Trajectory,
+        held_link: usize,
+        configurations: &[Configuration],
+        sceneries: &[Scenery],
+    ) -> Motion {
+        let (task, config) = (&self.task, &self.config);
+        let tool_link = task.robot.tool_link;
+        let link_from_tool = Frame::from_pose(&task.robot.link_from_tool);
+        let handle_from_grasp = Frame::from_pose(&trajectory.grasp.link_from_tool);
+        let anchored = configurations.iter().zip(sceneries).filter(|(c, _)| c.anchored);
+        let frames = anchored.map(|(configuration, scenery)| {
+            let frames = AnchorFrames {
+                world_from_tool: scenery.robot[tool_link].then(&link_from_tool),
+                world_from_grasp: scenery.object[held_link].then(&handle_from_grasp),
+            };
+            (configuration.place, frames)
+        });
+        let mut motion = Motion::default();
+        motion.check_anchor(frames, config);
+        motion.check_object(trajectory, task, config);
+        motion.check_positions(configurations, &task.robot, &task.object, config);
+        motion.check_rates(trajectory, &task.robot, config);
+        motion.check_base_yaw(trajectory, &task.robot, config);
+        motion
+    }
+
+    fn held_link(&self, trajectory: &Trajectory) -> Result<usize, Finding> {
+        let pose = &trajectory.grasp.link_from_tool;
+        let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+        if !numbers.copied().all(f64::is_finite) {
+            return Err(Finding::new(
+                akrobat_model::Rejection::Malformed,
+                "the grasp pose has a number that is not finite",
+            ));
+        }
+        self.task
+            .object
+            .tree
+            .link_index(&trajectory.grasp.link)
+            .map_err(|error| Finding::new(akrobat_model::Rejection::Malformed, error.to_string()))
+    }
+
+    fn scenery(&self, configuration: &Configuration) -> Scenery {
+        let robot = &self.task.robot;
+        let mut q = robot.rest.clone();
+        for (joint, &position) in robot.trajectory_joints().iter().zip(&configuration.robot) {
+            if let Some(column) = robot.tree.dof_joints().iter().position(|dof| dof == joint) {
+                q[column] = position;
+            }
+        }
+        Scenery::new(
+            configuration.place,
+            self.robot.link_frames(&q),
+            self.object.link_frames(&configuration.object),
+        )
+    }
+}
+
+impl Scenery {
+    fn new(place: Place, robot: Vec<Frame>, object: Vec<Frame>) -> Self {
+        let links = object.iter().map(Frame::inverse);
+        let obstacle_from_world = std::iter::once(Frame::IDENTITY).chain(links).collect();
+        Self { place, robot, object, obstacle_from_world }
+    }
+}
+
+fn refuse_first(finding: Option<Finding>) -> Result<(), Finding> {
+    finding.map_or(Ok(()), Err)
+}
+
+fn geometry(
+    task: &Task,
+    spheres: &[RobotSphere],
+    exceptions: &[ContactException],
+    groups: &RobotGroups,
+    notes: &mut Vec<String>,
+) -> Result<Geometry, JudgeError> {
+    let (robot, object) = (&task.robot.tree, &task.object.tree);
+    let mut solids = Vec::new();
+    for (link, description) in robot.links().iter().enumerate() {
+        solids.extend(link_solids(description, notes)?.into_iter().map(|solid| (link, solid)));
+    }
+    let mut obstacles = vec![Obstacle::of_scene(&task.scene)?];
+    for link in object.links() {
+        obstacles.push(Obstacle::of_link(link)?);
+    }
+    note_floors(&obstacles[0], notes);
+    let moving_links = object::moving_links(&task.object);
+    let mut moving_solids = Vec::new();
+    for (link, description) in
+        object.links().iter().enumerate().filter(|(link, _)| moving_links[*link])
+    {
+        let solids = link_solids(description, notes)?;
+        moving_solids.extend(solids.into_iter().map(|solid| (link, solid)));
+    }
+    Ok(Geometry {
+        link_names: robot.links().iter().map(|link| link.name.clone()).collect(),
+        spheres: spheres.to_vec(),
+        sphere_pairs: Vec::new(),
+        robot_solids: solids,
+        solid_pairs: Vec::new(),
+        contacts: contact_table(task, &obstacles, groups, exceptions)?,
+        handle_region: task.object.handle_region,
+        object_link_names: object.links().iter().map(|link| link.name.clone()).collect(),
+        moving_solids,
+        moving_links,
+        start_depths: StartDepths::new(),
+        obstacles,
+    })
+}
+
+fn note_floors(scene: &Obstacle, notes: &mut Vec<String>) {
+    for floor in scene.owners.iter().filter(|owner| owner.is_floor) {
+        notes.push(format!(
+            "the base stands on {}: contact between them is not judged",
+            floor.label
+        ));
+    }
+}
+
+/// Stops checking pairs that touch in the rest configuration, and says so.
+fn mask(
+    pairs: &mut LinkPairs,
+    touching: &[[usize; 2]],
+    what: &str,
+    names: &[String],
+    notes: &mut Vec<String>,
+) {
+    for &[a, b] in touching {
+        if pairs.checked(a, b) {
+            pairs.ignore(a, b);
+            notes.push(format!(
+                "{what} of links \"{}\" and \"{}\" touch at rest: the pair is not judged",
+                names[a], names[b]
+            ));
+        }
+    }
+}
+
+fn check_spheres(spheres: &[RobotSphere], robot: &Robot) -> Result<(), JudgeError> {
+    let links = robot.tree.links().len();
+    for (index, sphere) in spheres.iter().enumerate() {
+        let fail = |message: String| Err(JudgeError::Sphere { index, message });
+        if sphere.link >= links {
+            return fail(format!("link index {} of a robot with {links} links", sphere.link));
+        }
+        if !sphere.center.iter().all(|c| c.is_finite()) {
+            return fail("its centre is not finite".into());
+        }
+        if !(sphere.radius.is_finite() && sphere.radius > 0.0) {
+            return fail(format!("radius {}, expected a positive number", sphere.radius));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,165 @@
+//! The robot's solids against the scene's and the object's meshes and against each other.
+
+use std::collections::HashMap;
+
+use akrobat_model::Rejection;
+
+use crate::contacts::{Contact, LinkPairs};
+use crate::convex::{Deepest, DepthProbe};
+use crate::finding::Finding;
+use crate::judge::{Geometry, Scenery};
+use crate::kinematics::Frame;
+use crate::near::{Gap, Intrusions, Near, surface_in_solid};
+use crate::path::Place;
+
+/// Shallower contacts are not told apart from none, metres.
+const TOUCH_M: f64 = 1e-4;
+
+/// The deepest penetration of a trajectory.
+#[derive(Debug, Clone, Default)]
+pub struct Penetration {
+    /// Metres.
+    pub depth_m: f64,
+    /// What it is.
+    pub detail: String,
+}
+
+/// A box in the held link's frame, metres.
+pub type Region = [f64; 6];
+
+struct RobotIntrusions<'a> {
+    geometry: &'a Geometry,
+    contacts: &'a [Contact],
+    link: usize,
+    obstacle: usize,
+    place: Place,
+    worst: &'a mut Penetration,
+}
+
+impl Intrusions for RobotIntrusions<'_> {
+    fn wanted(&self, owner: u32) -> bool {
+        self.contacts[owner as usize] != Contact::Allowed
+    }
+
+    fn floor_m(&self, _owner: u32) -> f64 {
+        self.worst.depth_m.max(TOUCH_M)
+    }
+
+    fn found(&mut self, owner: u32, deepest: Deepest) {
+        let excepted = self.contacts[owner as usize] == Contact::AllowedInRegion
+            && self.geometry.handle_region.is_some_and(|region| inside(&region, deepest));
+        if !excepted {
+            let link = &self.geometry.link_names[self.link];
+            let other = &self.geometry.obstacles[self.obstacle].owners[owner as usize].label;
+            self.worst.depth_m = deepest.depth_m;
+            self.worst.detail = format!(
+                "{}: link \"{link}\" and {other} are {:.1} mm inside each other",
+                self.place,
+                deepest.depth_m * 1e3
+            );
+        }
+    }
+}
+
+fn inside(region: &Region, deepest: Deepest) -> bool {
+    let point = deepest.point.to_array();
+    (0..3).all(|axis| (region[axis]..=region[axis + 3]).contains(&point[axis]))
+}
+
+/// The deepest penetration over all configurations.
+pub fn deepest(geometry: &Geometry, sceneries: &[Scenery]) -> Penetration {
+    let mut worst = Penetration::default();
+    let mut probe = DepthProbe::default();
+    let obstacles = geometry.obstacles.len();
+    let mut near: Vec<Option<Near>> = Vec::new();
+    near.resize_with(geometry.robot_solids.len() * obstacles, || None);
+    let mut gaps = HashMap::new();
+    for scenery in sceneries {
+        for (index, (link, solid)) in geometry.robot_solids.iter().enumerate() {
+            for (o, obstacle) in geometry.obstacles.iter().enumerate() {
+                let obstacle_from_link = scenery.obstacle_from_world[o].then(&scenery.robot[*link]);
+                let mut intrusions = RobotIntrusions {
+                    geometry,
+                    contacts: &geometry.contacts[*link][o],
+                    link: *link,
+                    obstacle: o,
+                    place: scenery.place,
+                    worst: &mut worst,
+                };
+                let memory = &mut near[index * obstacles + o];
+                Near::visit(
+                    memory,
+                    &mut probe,
+                    solid,
+                    obstacle,
+                    &obstacle_from_link,
+                    &mut intrusions,
+                );
+            }
+        }
+        for &(a, b) in &geometry.solid_pairs {
+            let floor_m = worst.depth_m.max(TOUCH_M);
+            if let Some(depth_m) =
+                pair_depth(geometry, &mut probe, &mut gaps, &scenery.robot, [a, b], floor_m)
+            {
+                let [link_a, link_b] =
+                    [a, b].map(|s| &geometry.link_names[geometry.robot_solids[s].0]);
+                let place = scenery.place;
+                worst = Penetration {
+                    depth_m,
+                    detail: format!(
+                        "{place}: links \"{link_a}\" and \"{link_b}\" are {:.1} mm inside each other",
+                        depth_m * 1e3
+                    ),
+                };
+            }
+        }
+    }
+    worst
+}
+
+/// The finding for a penetration beyond the tolerance.
+pub fn finding(worst: &Penetration, tolerance_m: f64) -> Option<Finding> {
+    (worst.depth_m > tolerance_m)
+        .then(|| Finding::new(Rejection::MeshPenetration, worst.detail.clone()))
+}
+
+/// Pairs of robot solids on links that must not touch.
+pub fn pairs(solid_links: impl Iterator<Item = usize>, links: &LinkPairs) -> Vec<(usize, usize)> {
+    let solid_links: Vec<usize> = solid_links.collect();
+    let ordered = (0..solid_links.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+    ordered.filter(|&(a, b)| links.checked(solid_links[a], solid_links[b])).collect()
+}
+
+/// Link pairs whose solids are more than `tolerance_m` inside each other.
+pub fn penetrating_links(
+    geometry: &Geometry,
+    robot: &[Frame],
+    tolerance_m: f64,
+) -> Vec<[usize; 2]> {
+    let mut probe = DepthProbe::default();
+    let mut gaps = HashMap::new();
+    let penetrating = geometry.solid_pairs.iter().filter(|&&(a, b)| {
+        pair_depth(geometry, &mut probe, &mut gaps, robot, [a, b], tolerance_m).is_some()
+    });
+    penetrating.map(|&(a, b)| [geometry.robot_solids[a].0, geometry.robot_solids[b].0]).collect()
+}
+
+fn pair_depth(
+    geometry: &Geometry,
+    probe: &mut DepthProbe,
+    gaps: &mut HashMap<[usize; 2], Option<Gap>>,
+    robot: &[Frame],
+    [a, b]: [usize; 2],
+    floor_m: f64,
+) -> Option<f64> {
+    let (link_a, solid_a) = &geometry.robot_solids[a];
+    let (link_b, solid_b) = &geometry.robot_solids[b];
+    let b_from_a = robot[*link_b].inverse().then(&robot[*link_a]);
+    let mut depth = |from, into, frame: &Frame, key| {
+        surface_in_solid(probe, from, into, frame, gaps.entry(key).or_default(), floor_m)
+    };
+    let a_in_b = depth(solid_a, solid_b, &b_from_a, [a, b]);
+    let b_in_a = depth(solid_b, solid_a, &b_from_a.inverse(), [b, a]);
+    [a_in_b, b_in_a].into_iter().flatten().map(|deepest| deepest.depth_m).reduce(f64::max)
+}
