@@ -1,6 +1,8 @@
 //! Every error of the command line, and the exit code it stands for.
 
 use akrobat_model::ModelError;
+use akrobat_packager::PackError;
+use akrobat_renderer::RenderError;
 
 /// How a command ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +23,12 @@ pub enum Error {
     /// A file or value of the user's is wrong.
     #[error(transparent)]
     Input(#[from] ModelError),
+    /// A file of ours could not be read or written.
+    #[error(transparent)]
+    Pack(#[from] PackError),
+    /// Rendering failed.
+    #[error(transparent)]
+    Render(#[from] RenderError),
     /// The request is wrong in itself; the whole message.
     #[error("{0}")]
     Usage(String),
@@ -38,6 +46,9 @@ impl Error {
         match self {
             Self::Input(_) | Self::Usage(_) => ExitCode::BadInput,
             Self::Failed(_) | Self::Interrupted(_) => ExitCode::Failed,
+            Self::Pack(error) if error.exit_code() == ExitCode::BadInput as i32 => ExitCode::BadInput,
+            Self::Pack(_) | Self::Render(RenderError::Device { .. }) => ExitCode::Failed,
+            Self::Render(_) => ExitCode::BadInput,
         }
     }
 

@@ -1,6 +1,6 @@
 //! The one place where Rust errors become Python exceptions.
 
-use akrobat::Error;
+use akrobat::{Error, ExitCode};
 use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyException, PyKeyboardInterrupt};
@@ -12,9 +12,9 @@ create_exception!(akrobat, RunError, AkrobatError, "The machine failed: full dis
 /// The exception of a command's error.
 pub fn to_python(error: Error) -> PyErr {
     let message = error.to_string();
-    match error {
-        Error::Input(_) | Error::Usage(_) => InputError::new_err(message),
-        Error::Failed(_) => RunError::new_err(message),
-        Error::Interrupted(_) => PyKeyboardInterrupt::new_err(message),
+    match (&error, error.exit_code()) {
+        (Error::Interrupted(_), _) => PyKeyboardInterrupt::new_err(message),
+        (_, ExitCode::BadInput) => InputError::new_err(message),
+        _ => RunError::new_err(message),
     }
 }

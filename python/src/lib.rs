@@ -4,6 +4,7 @@ mod command_line;
 mod errors;
 mod interruptible;
 mod sapien;
+mod trajectories;
 
 use pyo3::prelude::*;
 
@@ -14,4 +15,6 @@ mod _core {
     use crate::command_line::run;
     #[pymodule_export]
     use crate::errors::{AkrobatError, InputError, RunError};
+    #[pymodule_export]
+    use crate::trajectories::{PyTrajectories, PyTrajectory};
 }

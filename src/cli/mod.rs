@@ -1,5 +1,6 @@
 //! The command line: one file per verb.
 
+mod inspect;
 mod schema;
 
 use std::ffi::OsString;
@@ -30,6 +31,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Inspect(inspect::InspectArgs),
     Schema(schema::SchemaArgs),
 }
 
@@ -86,6 +88,7 @@ pub fn run<A: Into<OsString> + Clone>(
 
 fn dispatch(command: &Command, _context: &Context<'_>) -> Result<Report, Error> {
     match command {
+        Command::Inspect(args) => inspect::run(args),
         Command::Schema(args) => schema::run(args),
     }
 }

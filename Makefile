@@ -1,0 +1,51 @@
+# `make test` and `make lint` need only a C compiler, Rust and Python >= 3.10 with venv; everything
+# else goes into .venv, .cache and target.
+
+PYTHON ?= python3
+VENV := $(CURDIR)/.venv
+WHEELS := $(CURDIR)/.cache/wheels
+CARGO_TEST_FLAGS ?= --workspace --exclude akrobat-python
+PYTEST_FLAGS ?=
+
+# The HDF5 library's build needs a CMake that not every distribution has: it finds the one in .venv.
+export PATH := $(VENV)/bin:$(PATH)
+
+.PHONY: build test lint format schema clean
+
+# Installs the command and the Python package into .venv.
+build: $(VENV)/.tools
+	rm -rf $(WHEELS)
+	maturin build --quiet --release --interpreter $(VENV)/bin/python --out $(WHEELS)
+	pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)"
+
+# All tests, Rust and Python, with a private software Vulkan driver where the machine has none.
+test: build
+	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[sapien,test]"
+	environment="$$(scripts/vulkan.sh)" && eval "$$environment" && \
+	    cargo test --release $(CARGO_TEST_FLAGS) && pytest $(PYTEST_FLAGS)
+
+lint: $(VENV)/.tools
+	cargo fmt --all --check
+	cargo clippy --quiet --release --workspace --all-targets -- -D warnings
+	ruff format --check python tests
+	ruff check python tests
+	cargo run --quiet --release -- schema --check schema
+
+format: $(VENV)/.tools
+	cargo fmt --all
+	ruff format python tests
+	ruff check --fix python tests
+
+# Regenerates the JSON Schemas.
+schema: $(VENV)/.tools
+	cargo run --quiet --release -- schema --write schema
+
+$(VENV)/.tools: pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit("Python 3.10 or newer is needed") if sys.version_info < (3, 10) else None'
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	pip install --quiet --disable-pip-version-check 'cmake>=3.26' 'maturin>=1.9.4,<2' 'ruff==0.17.6'
+	touch $@
+
+clean:
+	rm -rf $(VENV) .cache target

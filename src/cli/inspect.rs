@@ -1,0 +1,118 @@
+//! `akrobat inspect`: what is in a file.
+
+use std::path::{Path, PathBuf};
+
+use akrobat_model::{Trajectory, TrajectorySet, Verdict};
+use akrobat_packager::trajectory_file;
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::Report;
+use crate::Error;
+
+/// Tell what is in a trajectory file.
+///
+/// Examples:
+///   akrobat inspect drawer.h5            counts, goals, worst values the judge found
+///   akrobat inspect drawer.h5 --json     the same, and every trajectory, for machines
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+pub struct InspectArgs {
+    /// Trajectory file, as `akrobat plan` writes it.
+    file: PathBuf,
+}
+
+/// Runs the verb.
+pub fn run(args: &InspectArgs) -> Result<Report, Error> {
+    let set = trajectory_file::read(&args.file)?;
+    Ok(Report::done(text(&args.file, &set), json(&set)))
+}
+
+fn text(file: &Path, set: &TrajectorySet) -> String {
+    let header = &set.header;
+    let trajectories = &set.trajectories;
+    let mut lines = vec![
+        format!("{}: {} trajectories of task \"{}\"", file.display(), trajectories.len(), header.task_name),
+        format!("  robot   {} ({:?} base)", header.robot_id, header.base_kind).to_lowercase(),
+        format!("  object  {}, driven joint \"{}\"", header.object_id, header.active_joint),
+        format!("  scene   {}", header.scene_id),
+        format!("  seed    {}, planned on {}", header.seed, header.backend),
+    ];
+    for ([start, goal], count) in count_by(trajectories, |t| [t.start, t.goal].map(round_to_mil)) {
+        lines.push(format!("  goal    {start} -> {goal}: {count} trajectories"));
+    }
+    let grasps = count_by(trajectories, |t| t.grasp.id).len();
+    lines.push(format!("  grasps  {grasps}"));
+    if let Some([shortest, longest]) = range(trajectories.iter().map(|t| t.dense.duration_s())) {
+        lines.push(format!("  length  {shortest:.2} to {longest:.2} s"));
+    }
+    lines.extend(verdict_lines(trajectories));
+    lines.extend(header.counts.iter().map(|(what, count)| format!("  {count:>8}  {what}")));
+    lines.join("\n")
+}
+
+fn verdict_lines(trajectories: &[Trajectory]) -> Vec<String> {
+    let verdicts: Vec<&Verdict> = trajectories.iter().filter_map(|t| t.verdict.as_ref()).collect();
+    let accepted = verdicts.iter().filter(|v| v.accepted()).count();
+    let worst = |of: fn(&Verdict) -> f64| verdicts.iter().map(|v| of(v)).fold(0.0, f64::max);
+    let mut lines = vec![format!("  judge   {accepted} accepted, {} judged", verdicts.len())];
+    if !verdicts.is_empty() {
+        lines.push(format!(
+            "  worst   anchor {:.3} mm, {:.5} rad; speed {:.0} %, acceleration {:.0} % of the limit; penetration {:.2} mm",
+            worst(|v| v.anchor_translation_m) * 1e3,
+            worst(|v| v.anchor_rotation_rad),
+            worst(|v| v.velocity_fraction) * 1e2,
+            worst(|v| v.acceleration_fraction) * 1e2,
+            worst(|v| v.penetration_m) * 1e3,
+        ));
+    }
+    lines
+}
+
+fn json(set: &TrajectorySet) -> Value {
+    let trajectory = |t: &Trajectory| {
+        json!({
+            "id": t.id,
+            "seed": t.seed,
+            "grasp": t.grasp.id,
+            "start": t.start,
+            "goal": t.goal,
+            "waypoints": t.waypoints_robot.rows(),
+            "dense_samples": t.dense.len(),
+            "duration_s": t.dense.duration_s(),
+            "verdict": t.verdict,
+        })
+    };
+    json!({
+        "format": trajectory_file::FORMAT,
+        "header": set.header,
+        "trajectories": set.trajectories.iter().map(trajectory).collect::<Vec<_>>(),
+    })
+}
+
+/// How often each key occurs, in the order of first appearance.
+fn count_by<K: PartialEq>(
+    trajectories: &[Trajectory],
+    key: impl Fn(&Trajectory) -> K,
+) -> Vec<(K, usize)> {
+    let mut counts: Vec<(K, usize)> = Vec::new();
+    for trajectory in trajectories {
+        let key = key(trajectory);
+        match counts.iter_mut().find(|(known, _)| *known == key) {
+            Some((_, count)) => *count += 1,
+            None => counts.push((key, 1)),
+        }
+    }
+    counts
+}
+
+fn range(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    values.fold(None, |range, value| {
+        let [low, high] = range.unwrap_or([value; 2]);
+        Some([low.min(value), high.max(value)])
+    })
+}
+
+fn round_to_mil(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
