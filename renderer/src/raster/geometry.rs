@@ -210,7 +210,9 @@ impl<'a> Packer<'a> {
                 ],
             }))
         };
-        self.textures.iter().map(bind).collect()
+        // Without meshes there are no uniforms to bind, and nothing asks for them.
+        let used = if self.meshes.is_empty() { &[] } else { &self.textures[..] };
+        used.iter().map(bind).collect()
     }
 }
 

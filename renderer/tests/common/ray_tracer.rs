@@ -1,26 +1,33 @@
 //! The image model, spelled out: one ray per pixel against every triangle, in f64.
 
+use std::ops::RangeInclusive;
+
 use akrobat_cameras::CameraFrame;
-use akrobat_model::TriMesh;
+use akrobat_model::{Pose, TriMesh};
 use akrobat_renderer::{FrameState, Lighting, PlacedCamera, RenderScene};
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 type Vec3 = Vector3<f64>;
 
-struct Hit<'a> {
-    depth_m: f64,
+struct Triangle<'a> {
     segment_id: u16,
     mesh: &'a TriMesh,
-    triangle: [u32; 3],
+    vertices: [usize; 3],
+    /// World frame.
+    corners: [Vec3; 3],
+    world_from_body: &'a Pose,
+}
+
+struct Hit<'a> {
+    depth_m: f64,
+    triangle: &'a Triangle<'a>,
     /// Weights of the three corners.
     weights: [f64; 3],
-    /// Corners in the world frame.
-    corners: [Vec3; 3],
-    world_from_body: akrobat_model::Pose,
 }
 
 /// Renders a camera after the image model.
 pub fn ray_traced(scene: &RenderScene, frame: &FrameState, camera: &PlacedCamera) -> CameraFrame {
+    let triangles = triangles(scene, frame);
     let k = camera.intrinsics;
     let mut image = CameraFrame {
         name: camera.name.clone(),
@@ -35,11 +42,11 @@ pub fn ray_traced(scene: &RenderScene, frame: &FrameState, camera: &PlacedCamera
         for u in 0..k.width {
             // z-depth is the parameter along a ray whose z component is 1 in the camera frame.
             let ray = camera.world_from_camera.rotation * Vec3::from(k.unproject(u, v, 1.0));
-            match first_hit(scene, frame, camera, &eye, &ray) {
+            match first_hit(&triangles, camera.near_m..=camera.far_m, &eye, &ray) {
                 Some(hit) => {
                     image.rgb.extend(color(&hit, &ray, &scene.lighting));
                     image.depth_m.push(hit.depth_m as f32);
-                    image.segmentation.push(hit.segment_id);
+                    image.segmentation.push(hit.triangle.segment_id);
                 }
                 None => {
                     image.rgb.extend(scene.lighting.background_rgb);
@@ -52,39 +59,37 @@ pub fn ray_traced(scene: &RenderScene, frame: &FrameState, camera: &PlacedCamera
     image
 }
 
+fn triangles<'a>(scene: &'a RenderScene, frame: &'a FrameState) -> Vec<Triangle<'a>> {
+    let mut triangles = Vec::new();
+    for (body, world_from_body) in scene.bodies.iter().zip(&frame.world_from_body) {
+        for mesh in &body.meshes {
+            triangles.extend(mesh.triangles.iter().map(|triangle| {
+                let vertices = triangle.map(|vertex| vertex as usize);
+                let corners = vertices.map(|vertex| {
+                    let position = Point3::from(mesh.positions[vertex]).cast::<f64>();
+                    (world_from_body * position).coords
+                });
+                let segment_id = body.segment_id;
+                Triangle { segment_id, mesh, vertices, corners, world_from_body }
+            }));
+        }
+    }
+    triangles
+}
+
 fn first_hit<'a>(
-    scene: &'a RenderScene,
-    frame: &FrameState,
-    camera: &PlacedCamera,
+    triangles: &'a [Triangle<'a>],
+    visible_m: RangeInclusive<f64>,
     eye: &Vec3,
     ray: &Vec3,
 ) -> Option<Hit<'a>> {
-    let mut nearest: Option<Hit<'a>> = None;
-    for (body, world_from_body) in scene.bodies.iter().zip(&frame.world_from_body) {
-        for mesh in &body.meshes {
-            for &triangle in &mesh.triangles {
-                let corners = triangle.map(|i| {
-                    let p = nalgebra::Point3::from(mesh.positions[i as usize]).cast::<f64>();
-                    (world_from_body * p).coords
-                });
-                let Some((depth_m, weights)) = intersect(eye, ray, &corners) else { continue };
-                let visible = camera.near_m..=camera.far_m;
-                let beaten = nearest.as_ref().is_some_and(|hit| hit.depth_m <= depth_m);
-                if visible.contains(&depth_m) && !beaten {
-                    nearest = Some(Hit {
-                        depth_m,
-                        segment_id: body.segment_id,
-                        mesh,
-                        triangle,
-                        weights,
-                        corners,
-                        world_from_body: *world_from_body,
-                    });
-                }
-            }
-        }
-    }
-    nearest
+    triangles
+        .iter()
+        .filter_map(|triangle| {
+            let (depth_m, weights) = intersect(eye, ray, &triangle.corners)?;
+            visible_m.contains(&depth_m).then_some(Hit { depth_m, triangle, weights })
+        })
+        .min_by(|a, b| a.depth_m.total_cmp(&b.depth_m))
 }
 
 /// Parameter along the ray and weights of the corners (Cramer's rule).
@@ -103,17 +108,15 @@ fn intersect(eye: &Vec3, ray: &Vec3, corners: &[Vec3; 3]) -> Option<(f64, [f64; 
 }
 
 fn color(hit: &Hit<'_>, ray: &Vec3, lighting: &Lighting) -> [u8; 3] {
-    let mesh = hit.mesh;
+    let Triangle { mesh, vertices, corners, world_from_body, .. } = hit.triangle;
     let mut normal = if mesh.normals.is_empty() {
-        let [a, b, c] = hit.corners;
+        let [a, b, c] = corners;
         (b - a).cross(&(c - a))
     } else {
         let blended: Vec3 = (0..3)
-            .map(|i| {
-                Vec3::from(mesh.normals[hit.triangle[i] as usize].map(f64::from)) * hit.weights[i]
-            })
+            .map(|i| Vec3::from(mesh.normals[vertices[i]].map(f64::from)) * hit.weights[i])
             .sum();
-        hit.world_from_body.rotation * blended
+        world_from_body.rotation * blended
     }
     .normalize();
     if normal.dot(ray) > 0.0 {
@@ -133,15 +136,12 @@ fn color(hit: &Hit<'_>, ray: &Vec3, lighting: &Lighting) -> [u8; 3] {
 }
 
 fn albedo(hit: &Hit<'_>) -> [f64; 3] {
-    let material = &hit.mesh.material;
+    let Triangle { mesh, vertices, .. } = hit.triangle;
+    let material = &mesh.material;
     let texel = match &material.base_color_texture {
-        Some(texture) if !hit.mesh.uvs.is_empty() => {
+        Some(texture) if !mesh.uvs.is_empty() => {
             let uv: [f64; 2] = std::array::from_fn(|axis| {
-                (0..3)
-                    .map(|i| {
-                        f64::from(hit.mesh.uvs[hit.triangle[i] as usize][axis]) * hit.weights[i]
-                    })
-                    .sum()
+                (0..3).map(|i| f64::from(mesh.uvs[vertices[i]][axis]) * hit.weights[i]).sum()
             });
             bilinear(texture, uv)
         }
