@@ -1,0 +1,198 @@
+//! Handles that a parallel gripper can hold: bars, arches and knobs.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use akrobat_model::Pose;
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+
+use crate::description::{CollisionBox, LinkDescription};
+use crate::finish::Finish;
+use crate::solid::Solid;
+
+/// Shape of a handle. Hole spacings are multiples of the 32 mm drilling pitch that furniture uses
+/// ("System 32").
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum HandleStyle {
+    /// A round bar on two posts.
+    Bar {
+        /// Distance between the posts, metres.
+        spacing_m: f64,
+        /// Diameter of the bar, metres.
+        diameter_m: f64,
+        /// Free depth between front and bar, metres.
+        clearance_m: f64,
+    },
+    /// A round rod bent to half an ellipse.
+    Arch {
+        /// Distance between the feet, metres.
+        spacing_m: f64,
+        /// Diameter of the rod, metres.
+        diameter_m: f64,
+        /// Height of the arch's middle line above the front, metres.
+        rise_m: f64,
+    },
+    /// A turned knob on a neck.
+    Knob {
+        /// Diameter of the head, metres.
+        diameter_m: f64,
+        /// Depth from the front to the head's face, metres.
+        depth_m: f64,
+    },
+}
+
+impl HandleStyle {
+    /// A bar of 160 mm, 12 mm thick, with 35 mm of room behind it.
+    pub const BAR: Self = Self::Bar { spacing_m: 0.160, diameter_m: 0.012, clearance_m: 0.035 };
+    /// An arch of 128 mm, 10 mm thick and 40 mm high.
+    pub const ARCH: Self = Self::Arch { spacing_m: 0.128, diameter_m: 0.010, rise_m: 0.040 };
+    /// A knob 32 mm across and 36 mm deep.
+    pub const KNOB: Self = Self::Knob { diameter_m: 0.032, depth_m: 0.036 };
+
+    /// Width that a gripper's pads must span to hold the handle, metres.
+    pub fn grip_width_m(&self) -> f64 {
+        match *self {
+            Self::Bar { diameter_m, .. }
+            | Self::Arch { diameter_m, .. }
+            | Self::Knob { diameter_m, .. } => diameter_m,
+        }
+    }
+
+    /// How far the handle stands out from the front, metres.
+    pub fn depth_m(&self) -> f64 {
+        match *self {
+            Self::Bar { diameter_m, clearance_m, .. } => clearance_m + diameter_m,
+            Self::Arch { diameter_m, rise_m, .. } => rise_m + diameter_m / 2.0,
+            Self::Knob { depth_m, .. } => depth_m,
+        }
+    }
+}
+
+/// Direction of a handle's long axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Orientation {
+    /// Along y: drawers and drop-down doors.
+    Horizontal,
+    /// Along z: side-hinged doors.
+    Vertical,
+}
+
+/// How far posts and feet reach into the front, so that no gap shows, metres.
+const EMBEDDING_M: f64 = 0.004;
+
+/// A link named `name` with the handle. Its frame has the origin in the middle of the handle's foot on the front, x
+/// pointing out of the front and z up.
+pub fn handle_link(
+    name: &str,
+    style: HandleStyle,
+    orientation: Orientation,
+    finish: &Finish,
+) -> LinkDescription {
+    let mut link = LinkDescription::new(name, 0.15);
+    let turn = match orientation {
+        Orientation::Horizontal => Pose::identity(),
+        Orientation::Vertical => Pose::from_parts(
+            Translation3::identity(),
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), FRAC_PI_2),
+        ),
+    };
+    let (solids, boxes) = match style {
+        HandleStyle::Bar { spacing_m, diameter_m, clearance_m } => {
+            bar(spacing_m, diameter_m, clearance_m)
+        }
+        HandleStyle::Arch { spacing_m, diameter_m, rise_m } => arch(spacing_m, diameter_m, rise_m),
+        HandleStyle::Knob { diameter_m, depth_m } => knob(diameter_m, depth_m),
+    };
+    link.add_visual("grip", finish, solids.into_iter().map(|s| s.moved(&turn)).collect());
+    link.collisions = boxes
+        .into_iter()
+        .map(|b| CollisionBox { link_from_box: turn * b.link_from_box, ..b })
+        .collect();
+    link
+}
+
+/// Takes z to x: rods and knobs are made upright.
+fn outwards() -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::y_axis(), FRAC_PI_2)
+}
+
+fn bar(spacing: f64, diameter: f64, clearance: f64) -> (Vec<Solid>, Vec<CollisionBox>) {
+    let (radius, post_radius) = (diameter / 2.0, diameter * 0.4);
+    let overhang = 1.5 * diameter;
+    let length = spacing + 2.0 * overhang;
+    let axis_x = clearance + radius;
+    let along_y = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -FRAC_PI_2);
+    let grip = Solid::rod(radius, length, 24)
+        .moved(&Pose::from_parts(Translation3::new(axis_x, -length / 2.0, 0.0), along_y));
+    let mut solids = vec![grip];
+    let mut boxes = vec![CollisionBox::between(
+        "grip",
+        [clearance, -length / 2.0, -radius],
+        [clearance + diameter, length / 2.0, radius],
+    )];
+    for side in [-0.5, 0.5] {
+        let y = side * spacing;
+        let foot = Translation3::new(-EMBEDDING_M, y, 0.0);
+        let post = Solid::rod(post_radius, EMBEDDING_M + axis_x, 16);
+        solids.push(post.moved(&Pose::from_parts(foot, outwards())));
+        boxes.push(CollisionBox::between(
+            "post",
+            [0.0, y - post_radius, -post_radius],
+            [clearance, y + post_radius, post_radius],
+        ));
+    }
+    (solids, boxes)
+}
+
+fn arch(spacing: f64, diameter: f64, rise: f64) -> (Vec<Solid>, Vec<CollisionBox>) {
+    const SEGMENTS: usize = 24;
+    const BOXES: usize = 6;
+    let half = spacing / 2.0;
+    let on_ellipse = |angle: f64| Point3::new(rise * angle.sin(), -half * angle.cos(), 0.0);
+    let mut path = vec![Point3::new(-EMBEDDING_M, -half, 0.0)];
+    path.extend((0..=SEGMENTS).map(|k| on_ellipse(PI * k as f64 / SEGMENTS as f64)));
+    path.push(Point3::new(-EMBEDDING_M, half, 0.0));
+    let rod = Solid::bent_rod(&path, Vector3::z(), diameter / 2.0, 16);
+    let boxes = (0..BOXES).map(|k| {
+        let angle = |end: usize| PI * (k + end) as f64 / BOXES as f64;
+        let (start, end) = (on_ellipse(angle(0)), on_ellipse(angle(1)));
+        let chord = end - start;
+        let yaw = chord.y.atan2(chord.x);
+        let centre = nalgebra::center(&start, &end);
+        CollisionBox {
+            name: "arch".into(),
+            link_from_box: Pose::from_parts(
+                Translation3::from(centre.coords),
+                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+            ),
+            size: [chord.norm(), diameter, diameter],
+        }
+    });
+    (vec![rod], boxes.collect())
+}
+
+fn knob(diameter: f64, depth: f64) -> (Vec<Solid>, Vec<CollisionBox>) {
+    let (radius, neck) = (diameter / 2.0, diameter * 0.22);
+    let head = depth * 0.45;
+    let profile = [
+        [0.0, -EMBEDDING_M],
+        [neck, -EMBEDDING_M],
+        [neck, depth - head],
+        [radius * 0.85, depth - head * 0.85],
+        [radius, depth - head * 0.55],
+        [radius * 0.95, depth - head * 0.15],
+        [radius * 0.7, depth],
+        [0.0, depth],
+    ];
+    let solid =
+        Solid::lathe(&profile, 32).moved(&Pose::from_parts(Translation3::identity(), outwards()));
+    let square = |name: &str, x: [f64; 2], half: f64| {
+        CollisionBox::between(name, [x[0], -half, -half], [x[1], half, half])
+    };
+    // The head's box is the square of equal area, so that it neither swells nor thins what is held.
+    let equal_area = radius * PI.sqrt() / 2.0;
+    let boxes = vec![
+        square("neck", [0.0, depth - head], neck),
+        square("head", [depth - head, depth], equal_area),
+    ];
+    (vec![solid], boxes)
+}
