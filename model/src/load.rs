@@ -60,12 +60,31 @@ pub fn task(path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
     task::load(path, search)
 }
 
+/// Loads what the text of a task file names, as if it stood at `path` (which need not exist).
+///
+/// # Errors
+/// As [`task`].
+pub fn task_from_text(
+    text: String,
+    path: &Path,
+    search: &AssetSearch,
+) -> Result<Task, ModelError> {
+    task::from_text(text, path, search)
+}
+
 /// A TOML file's text and content; unknown keys are errors that list the valid ones.
 fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<(String, T), ModelError> {
     let text = std::fs::read_to_string(path).map_err(|e| ModelError::read(path, e))?;
-    let parsed =
-        toml::from_str(&text).map_err(|e| ModelError::invalid(path, e.to_string().trim_end()))?;
+    let parsed = parse_toml_text(path, &text)?;
     Ok((text, parsed))
+}
+
+/// The content of a TOML text; `path` names it in errors.
+fn parse_toml_text<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    text: &str,
+) -> Result<T, ModelError> {
+    toml::from_str(text).map_err(|e| ModelError::invalid(path, e.to_string().trim_end()))
 }
 
 /// `section of file`, for messages.

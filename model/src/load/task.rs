@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{AssetSearch, grasps, object, parse_toml, place, robot, scene};
+use super::{AssetSearch, grasps, object, parse_toml_text, place, robot, scene};
 use crate::pose::from_xyz_wxyz;
 use crate::robot::BaseKind;
 use crate::task::{GraspFrame, ManipulatedObject, Task, TaskFile};
@@ -11,7 +11,12 @@ use crate::{ModelError, Pose, Robot, hash};
 
 /// Loads a task file and everything it names.
 pub fn load(path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
-    let (text, file): (String, TaskFile) = parse_toml(path)?;
+    from_text(std::fs::read_to_string(path).map_err(|e| ModelError::read(path, e))?, path, search)
+}
+
+/// Loads what the text of a task file names, as if it stood at `path`.
+pub fn from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
+    let file: TaskFile = parse_toml_text(path, &text)?;
     let mut content_hashes =
         BTreeMap::from([("task".to_owned(), hash::of_bytes(text.as_bytes()))]);
 
