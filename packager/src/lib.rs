@@ -6,10 +6,12 @@
 pub mod episode;
 pub mod error;
 mod h5;
+pub mod mcap_log;
 pub mod shard;
 pub mod trajectory_file;
 mod whole_file;
 
 pub use episode::{Attachment, DepthEncoding, EpisodeInfo};
 pub use error::PackError;
+pub use mcap_log::{ColorEncoding, McapWriter};
 pub use shard::ShardWriter;

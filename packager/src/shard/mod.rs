@@ -342,7 +342,7 @@ fn check_info(path: &Path, info: &EpisodeInfo) -> Result<()> {
     Ok(())
 }
 
-fn check_observation(
+pub(crate) fn check_observation(
     path: &Path,
     info: &EpisodeInfo,
     frame: usize,
