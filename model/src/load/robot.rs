@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use super::{AssetSearch, check_position, joint_index, link_index, parse_toml, place};
 use crate::mesh_io::MeshCache;
 use crate::pose::from_xyz_wxyz;
-use crate::robot::BaseKind;
+use crate::robot::{AttachSection, BaseKind};
 use crate::{Joint, JointKind, KinematicTree, Link, ModelError, Pose, Robot, RobotFile, hash, urdf};
 
 /// Names of the virtual base joints that are added where a robot has none.
@@ -19,8 +19,9 @@ const BASE_REACH_M: f64 = 50.0;
 /// A robot and what its identity rests on.
 pub struct LoadedRobot {
     pub robot: Robot,
-    pub text: String,
-    pub mesh_files: BTreeMap<String, PathBuf>,
+    text: String,
+    mesh_files: BTreeMap<String, PathBuf>,
+    gripper_urdf: Option<PathBuf>,
 }
 
 impl LoadedRobot {
@@ -29,8 +30,12 @@ impl LoadedRobot {
         hashes.insert("robot".into(), hash::of_bytes(self.text.as_bytes()));
         hashes.insert("robot.urdf".into(), hash::of_file(&self.robot.urdf_path)?);
         hashes.insert("robot.meshes".into(), super::hashes::of_files(&self.mesh_files)?);
-        if let Some(spheres) = &self.robot.spheres_path {
-            hashes.insert("robot.spheres".into(), hash::of_file(spheres)?);
+        for (name, file) in
+            [("robot.gripper", &self.gripper_urdf), ("robot.spheres", &self.robot.spheres_path)]
+        {
+            if let Some(file) = file {
+                hashes.insert(name.into(), hash::of_file(file)?);
+            }
         }
         Ok(())
     }
@@ -40,8 +45,19 @@ impl LoadedRobot {
 pub fn load(path: &Path, search: &AssetSearch) -> Result<LoadedRobot, ModelError> {
     let (text, file): (String, RobotFile) = parse_toml(path)?;
     let urdf_path = search.find(&file.urdf, path)?;
-    let urdf::UrdfFile { tree, notes, mesh_files } =
-        urdf::load(&urdf_path, search, &mut MeshCache::default())?;
+    let mut cache = MeshCache::default();
+    let urdf::UrdfFile { tree, mut notes, mut mesh_files } =
+        urdf::load(&urdf_path, search, &mut cache)?;
+    let (tree, gripper_urdf) = match &file.gripper.attach {
+        None => (tree, None),
+        Some(section) => {
+            let gripper_urdf = search.find(&section.urdf, path)?;
+            let gripper = urdf::load(&gripper_urdf, search, &mut cache)?;
+            notes.extend(gripper.notes);
+            mesh_files.extend(gripper.mesh_files);
+            (attached(path, tree, section, gripper.tree)?, Some(gripper_urdf))
+        }
+    };
     let adds_base = file.base.kind == BaseKind::Holonomic && file.base.joints.is_none();
     let tree = if adds_base { with_virtual_base(path, tree, &file)? } else { tree };
 
@@ -80,7 +96,29 @@ pub fn load(path: &Path, search: &AssetSearch) -> Result<LoadedRobot, ModelError
         tree,
         file,
     };
-    Ok(LoadedRobot { robot, text, mesh_files })
+    Ok(LoadedRobot { robot, text, mesh_files, gripper_urdf })
+}
+
+/// The robot's tree with the gripper bolted on.
+fn attached(
+    path: &Path,
+    tree: KinematicTree,
+    section: &AttachSection,
+    gripper: KinematicTree,
+) -> Result<KinematicTree, ModelError> {
+    let place = place(path, "gripper.attach");
+    let link = link_index(&place, &tree, &section.link)?;
+    let link_from_gripper = from_xyz_wxyz(section.link_from_gripper).ok_or_else(|| {
+        let message =
+            format!("link_from_gripper: expected [x y z qw qx qy qz], got {:?}", section.link_from_gripper);
+        ModelError::bad_value(place.clone(), message)
+    })?;
+    tree.attach(link, link_from_gripper, gripper).map_err(|e| match e {
+        ModelError::BadValue { context, message } => {
+            ModelError::bad_value(place, format!("{context}: {message}"))
+        }
+        other => other,
+    })
 }
 
 /// The tree under three new joints: x, y and yaw in the world.

@@ -79,8 +79,8 @@ mod tests {
 
     #[test]
     fn concave_polygons_keep_their_area() {
-        let ell = [[0., 0.], [2., 0.], [2., 1.], [1., 1.], [1., 2.], [0., 2.]];
-        let outline = ell.map(|[x, y]| [x, y, 0.0f32]);
+        let ell = [[0.0f64, 0.], [2., 0.], [2., 1.], [1., 1.], [1., 2.], [0., 2.]];
+        let outline = ell.map(|[x, y]| [x as f32, y as f32, 0.0]);
         assert_eq!(triangulate(&outline).len(), 4);
         assert!((area(&outline) - 3.0).abs() < 1e-9);
         let fan: f64 = (1..5)
