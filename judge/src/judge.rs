@@ -133,6 +133,11 @@ impl Judge {
         &self.config
     }
 
+    #[cfg(test)]
+    pub(crate) fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
     /// Judges the dense path and the waypoints as they are stored.
     ///
     /// The reason given is the first in the order of [`akrobat_model::Rejection`]. A trajectory that
@@ -241,7 +246,8 @@ impl Judge {
 }
 
 impl Scenery {
-    fn new(place: Place, robot: Vec<Frame>, object: Vec<Frame>) -> Self {
+    /// Places the links, and from them the obstacles.
+    pub fn new(place: Place, robot: Vec<Frame>, object: Vec<Frame>) -> Self {
         let links = object.iter().map(Frame::inverse);
         let obstacle_from_world = std::iter::once(Frame::IDENTITY).chain(links).collect();
         Self { place, robot, object, obstacle_from_world }

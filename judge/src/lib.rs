@@ -22,6 +22,8 @@ mod motion;
 mod near;
 mod object;
 mod path;
+#[cfg(test)]
+mod real_inputs;
 mod shapes;
 mod spheres;
 mod structure;

@@ -207,7 +207,7 @@ fn too_abrupt() {
         let start = 40;
         t.dense.times_s.drain(..start);
         let first = t.dense.times_s[0];
-        t.dense.times_s.iter_mut().for_each(|time| *time = (*time - first) / 2.0);
+        t.dense.times_s.iter_mut().for_each(|time| *time = (*time - first) / 1.5);
         t.dense.phase.drain(..start);
         t.dense.robot =
             akrobat_model::JointPath::from_values(7, t.dense.robot.values()[start * 7..].to_vec())
@@ -262,7 +262,7 @@ fn sphere_that_touches_a_box() {
     // During the grasp the beam's spheres reach z = 0.54 at y = -0.2; the beam itself only 0.53.
     let task_with = |bottom: f64| {
         let mut task = task();
-        task.scene.bodies.push(body("lamp", [0.02, 0.02, 0.1], [-0.28, -0.2, bottom + 0.05]));
+        task.scene.bodies.push(body("lamp", [0.02, 0.02, 0.1], [-0.58, -0.2, bottom + 0.05]));
         task
     };
     let touching = judge(&task_with(0.537)).judge(&trajectory());

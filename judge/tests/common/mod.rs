@@ -144,6 +144,8 @@ fn robot() -> Robot {
         tool_link: 5,
         finger_links: vec![6, 7],
         rest: vec![0.0, 0.0, 0.0, 0.0, 0.0, OPEN, OPEN],
+        spheres_path: None,
+        notes: Vec::new(),
         world_from_root: Pose::identity(),
         tree,
     }
