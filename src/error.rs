@@ -1,5 +1,6 @@
 //! Every error of the command line, and the exit code it stands for.
 
+use akrobat_judge::JudgeError;
 use akrobat_model::ModelError;
 use akrobat_packager::PackError;
 use akrobat_renderer::RenderError;
@@ -26,6 +27,9 @@ pub enum Error {
     /// A file of ours could not be read or written.
     #[error(transparent)]
     Pack(#[from] PackError),
+    /// The judge cannot be built for a task.
+    #[error("judge: {0}")]
+    Judge(#[from] JudgeError),
     /// Rendering failed.
     #[error(transparent)]
     Render(#[from] RenderError),
@@ -44,7 +48,7 @@ impl Error {
     /// The exit code of this error.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Input(_) | Self::Usage(_) => ExitCode::BadInput,
+            Self::Input(_) | Self::Judge(_) | Self::Usage(_) => ExitCode::BadInput,
             Self::Failed(_) | Self::Interrupted(_) => ExitCode::Failed,
             Self::Pack(error) if error.exit_code() == ExitCode::BadInput as i32 => ExitCode::BadInput,
             Self::Pack(_) | Self::Render(RenderError::Device { .. }) => ExitCode::Failed,

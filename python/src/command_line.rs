@@ -3,8 +3,8 @@
 use akrobat::CancelToken;
 use pyo3::prelude::*;
 
+use crate::host::PythonHost;
 use crate::interruptible::run_interruptibly;
-use crate::sapien::PythonHost;
 
 /// Runs the command line `argv` (the program's name first) and returns its exit code.
 #[pyfunction]

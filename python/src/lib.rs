@@ -2,6 +2,7 @@
 
 mod command_line;
 mod errors;
+mod host;
 mod interruptible;
 mod sapien;
 mod trajectories;

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use akrobat::Host;
 use akrobat_cameras::CameraFrame;
 use akrobat_model::{Pose, TriMesh, pose};
 use akrobat_renderer::scene::Lighting;
@@ -13,23 +12,23 @@ use pyo3::types::{PyDict, PyList};
 
 const BACKEND: &str = "sapien";
 
-/// What the Python package does for the command line.
-pub struct PythonHost;
-
-impl Host for PythonHost {
-    fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError> {
-        Python::attach(|py| {
-            // Imported here so that a missing package is told before anything is planned or written.
-            py.import("akrobat.sapien_backend")?.call_method0("require_sapien").map(drop)
-        })
-        .map_err(device_error)
-        .map(|_| Box::new(SapienBackend { loaded: None }) as Box<dyn Backend>)
-    }
+/// Renders with SAPIEN, which keeps the last scene it was given.
+pub struct SapienBackend {
+    loaded: Option<Loaded>,
 }
 
-/// Renders with SAPIEN, which keeps the last scene it was given.
-struct SapienBackend {
-    loaded: Option<Loaded>,
+impl SapienBackend {
+    /// A backend without a scene.
+    ///
+    /// # Errors
+    /// Where SAPIEN is not installed.
+    pub fn new() -> Result<Self, RenderError> {
+        Python::attach(|py| {
+            py.import("akrobat.sapien_backend")?.call_method0("require_sapien").map(drop)
+        })
+        .map_err(device_error)?;
+        Ok(Self { loaded: None })
+    }
 }
 
 struct Loaded {

@@ -1,6 +1,7 @@
 //! The command line: one file per verb.
 
 mod inspect;
+mod plan;
 mod schema;
 
 use std::ffi::OsString;
@@ -8,6 +9,7 @@ use std::io::Write;
 
 use clap::{Parser, Subcommand};
 
+use crate::pipeline::Context;
 use crate::progress::{Progress, Verbosity};
 use crate::{CancelToken, Error, ExitCode, Host};
 
@@ -31,16 +33,9 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Plan(plan::PlanArgs),
     Inspect(inspect::InspectArgs),
     Schema(schema::SchemaArgs),
-}
-
-/// What a verb works with besides its own arguments.
-pub struct Context<'a> {
-    /// What needs Python, where Python is there.
-    pub host: Option<&'a dyn Host>,
-    /// Takes the stages' reports, and knows whether the user wants to stop.
-    pub observer: &'a Progress,
 }
 
 /// What a verb has to say at its end.
@@ -86,8 +81,9 @@ pub fn run<A: Into<OsString> + Clone>(
     finish(outcome, cli.json) as i32
 }
 
-fn dispatch(command: &Command, _context: &Context<'_>) -> Result<Report, Error> {
+fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
     match command {
+        Command::Plan(args) => plan::run(args, context),
         Command::Inspect(args) => inspect::run(args),
         Command::Schema(args) => schema::run(args),
     }

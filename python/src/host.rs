@@ -1,0 +1,26 @@
+//! What the Python package does for the command line.
+
+use std::path::PathBuf;
+
+use akrobat::Host;
+use akrobat_renderer::{Backend, RenderError};
+use pyo3::prelude::*;
+
+use crate::sapien::SapienBackend;
+
+/// The host that hands work back to Python.
+pub struct PythonHost;
+
+impl Host for PythonHost {
+    fn asset_folders(&self) -> Vec<PathBuf> {
+        // Without the folders, a file that is needed is reported missing, with what was tried.
+        Python::attach(|py| {
+            py.import("akrobat.assets")?.call_method0("installed_asset_folders")?.extract()
+        })
+        .unwrap_or_default()
+    }
+
+    fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError> {
+        Ok(Box::new(SapienBackend::new()?))
+    }
+}

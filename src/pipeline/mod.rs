@@ -1,0 +1,74 @@
+//! The stages composed into the jobs that the command line and the Python package offer.
+
+mod plan;
+
+use std::path::{Path, PathBuf};
+
+use akrobat_model::events::Observer;
+use akrobat_model::load::AssetSearch;
+
+use crate::{Error, Host};
+
+pub use plan::{PlanReport, PlanRequest, plan};
+
+/// Folders of assets, separated like those of `PATH`.
+pub const ASSET_PATH_VARIABLE: &str = "AKROBAT_ASSET_PATH";
+
+/// What a job works with besides its request.
+pub struct Context<'a> {
+    /// What needs Python, where Python is there.
+    pub host: Option<&'a dyn Host>,
+    /// Takes the stages' reports, and knows whether the user wants to stop.
+    pub observer: &'a dyn Observer,
+}
+
+impl Context<'_> {
+    /// Where files are looked up: the folders given, then `$AKROBAT_ASSET_PATH`, then what the host
+    /// has. (Files beside the file that names them come first of all.)
+    fn asset_search(&self, given: &[PathBuf]) -> Result<AssetSearch, Error> {
+        if let Some(folder) = given.iter().find(|folder| !folder.is_dir()) {
+            return Err(Error::Usage(format!("asset folder {} does not exist", folder.display())));
+        }
+        let mut folders = given.to_vec();
+        if let Some(path) = std::env::var_os(ASSET_PATH_VARIABLE) {
+            folders.extend(std::env::split_paths(&path).filter(|folder| !folder.as_os_str().is_empty()));
+        }
+        folders.extend(self.host.map(Host::asset_folders).unwrap_or_default());
+        Ok(AssetSearch { folders })
+    }
+}
+
+/// Runs `work` on this many threads; on one for each core where nothing is said.
+fn on_threads<T: Send>(
+    threads: Option<usize>,
+    work: impl FnOnce() -> Result<T, Error> + Send,
+) -> Result<T, Error> {
+    let Some(threads) = threads else { return work() };
+    if threads == 0 {
+        return Err(Error::Usage("--threads: expected at least 1, got 0".into()));
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pool.map_err(|e| Error::Failed(format!("cannot start {threads} threads: {e}")))?;
+    pool.install(work)
+}
+
+/// Checks, before hours of work, that a file can be created at `path`.
+fn check_writable(path: &Path) -> Result<(), Error> {
+    if path.is_dir() {
+        return Err(Error::Usage(format!("{}: cannot write: it is a folder", path.display())));
+    }
+    let folder = folder_of(path);
+    tempfile::Builder::new()
+        .prefix(".akrobat-")
+        .tempfile_in(folder)
+        .map(drop)
+        .map_err(|e| Error::write(path, &e))
+}
+
+/// The folder that holds `path`; `.` for a bare name.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
