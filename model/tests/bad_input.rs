@@ -300,6 +300,11 @@ fn dae_files() {
 
 /// A GLB of one triangle, with the given index bytes and a cut at the end.
 fn glb(indices: [u16; 3], cut: usize) -> Vec<u8> {
+    glb_of(indices, 3, cut)
+}
+
+/// As [`glb`], with the number of vertices that the file claims to have.
+fn glb_of(indices: [u16; 3], vertices: usize, cut: usize) -> Vec<u8> {
     let mut binary = Vec::new();
     for v in [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0] {
         binary.extend(v.to_le_bytes());
@@ -311,8 +316,8 @@ fn glb(indices: [u16; 3], cut: usize) -> Vec<u8> {
 "bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":36},{"buffer":0,"byteOffset":36,"byteLength":6}],
 "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]},
 {"bufferView":1,"componentType":5123,"count":3,"type":"SCALAR"}]}"#
-        .as_bytes()
-        .to_vec();
+        .replacen("\"count\":3", &format!("\"count\":{vertices}"), 1)
+        .into_bytes();
     while json.len() % 4 != 0 {
         json.push(b' ');
     }
@@ -343,6 +348,31 @@ fn gltf_files() {
     bad_mesh("a.glb", glb([0, 1, 2], 20), &["whole glTF"]);
     bad_mesh("a.glb", glb([0, 1, 2], 100), &["whole glTF"]);
     bad_mesh("a.glb", b"glTF", &["whole glTF"]);
-    let long_accessor = String::from_utf8(glb([0, 1, 2], 0)).unwrap().replacen("\"count\":3", "\"count\":9", 1);
-    bad_mesh("a.glb", long_accessor, &["truncated", "9 elements"]);
+    bad_mesh("a.glb", glb_of([0, 1, 2], 9, 0), &["truncated", "9 elements"]);
+}
+
+#[test]
+fn absurd_joint_origins() {
+    bad_urdf("xyz=\"0.21 -0.3 0\"", "xyz=\"21000 -300 0\"", &["link \"door\"", "away from the root", "1000 m"]);
+}
+
+#[test]
+fn attached_grippers() {
+    let attach = |link: &str, urdf: &str, expected: &[&str]| {
+        let files = Files::new();
+        files.write("palm.urdf", urdf);
+        let robot = std::fs::read_to_string(files.path("bot.toml")).unwrap();
+        let section = format!(
+            "[gripper.attach]\nurdf = \"palm.urdf\"\nlink = \"{link}\"\nlink_from_gripper = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]\n"
+        );
+        files.write("bot.toml", robot + &section);
+        match expected {
+            [] => assert!(files.task().unwrap().robot.tree.link_index("palm").is_ok()),
+            _ => refused(files.task(), &[&["bot.toml", "gripper.attach"], expected].concat()),
+        }
+    };
+    let palm = r#"<robot name="palm"><link name="palm"/></robot>"#;
+    attach("hand", palm, &[]);
+    attach("wrist", palm, &["unknown link \"wrist\"", "hand"]);
+    attach("hand", &palm.replace("link name=\"palm", "link name=\"hand"), &["\"hand\" is used twice"]);
 }

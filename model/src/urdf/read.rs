@@ -10,7 +10,7 @@ use super::link::LinkReader;
 use super::xml::{Context, children};
 use crate::load::AssetSearch;
 use crate::mesh_io::MeshCache;
-use crate::{KinematicTree, ModelError};
+use crate::{KinematicTree, ModelError, Pose};
 
 /// A URDF file, loaded with its meshes.
 #[derive(Debug, Clone)]
@@ -81,6 +81,25 @@ pub fn load(
         }
         other => other,
     })?;
+    check_reach(path, &tree)?;
     notes.extend(cache.notes[cache_notes_before..].iter().cloned());
     Ok(UrdfFile { tree, notes, mesh_files })
+}
+
+/// Largest distance of a link from the root that can be meant, metres.
+const MAX_REACH_M: f64 = 1000.0;
+
+fn check_reach(path: &Path, tree: &KinematicTree) -> Result<(), ModelError> {
+    let poses = tree.link_poses(&Pose::identity(), &tree.neutral());
+    let distances = poses.iter().map(|pose| pose.translation.vector.norm());
+    match distances.zip(tree.links()).find(|(distance, _)| *distance > MAX_REACH_M) {
+        None => Ok(()),
+        Some((distance, link)) => Err(ModelError::invalid(
+            path,
+            format!(
+                "link \"{}\" is {distance:.3e} m away from the root; expected at most {MAX_REACH_M} m: are the joint origins in metres?",
+                link.name
+            ),
+        )),
+    }
 }
