@@ -14,7 +14,7 @@ use crate::meshes::{self, Region};
 use crate::motion::{AnchorFrames, Motion};
 use crate::object::{self, StartDepths};
 use crate::path::{Configuration, Place, configurations};
-use crate::spheres::{self, RobotSphere};
+use crate::spheres::{self, RobotSphere, SpherePair};
 use crate::structure;
 use crate::{JudgeConfig, JudgeError};
 
@@ -24,8 +24,8 @@ pub struct Geometry {
     pub link_names: Vec<String>,
     /// Collision spheres.
     pub spheres: Vec<RobotSphere>,
-    /// Pairs of spheres that must not overlap.
-    pub sphere_pairs: Vec<(usize, usize)>,
+    /// Links whose spheres must not overlap.
+    pub sphere_pairs: Vec<SpherePair>,
     /// Solids of the robot, each with its link.
     pub robot_solids: Vec<(usize, ConvexPiece)>,
     /// Pairs of robot solids that must not enter each other.

@@ -14,14 +14,16 @@ const MARGIN_M: f64 = 0.04;
 /// The corners of a box in another frame. While a body moves, none of its points moves farther than
 /// the farthest corner of a box around it.
 #[derive(Debug, Clone, Copy)]
-struct Corners([Vector; 8]);
+pub struct Corners([Vector; 8]);
 
 impl Corners {
-    fn of(bounds: &Aabb, frame: &Frame) -> Self {
+    /// The corners of `bounds`, given in the inner frame, in the outer one.
+    pub fn of(bounds: &Aabb, frame: &Frame) -> Self {
         Self(bounds.vertices().map(|corner| frame.point(corner)))
     }
 
-    fn moved_since(&self, earlier: &Self) -> f64 {
+    /// How far a point of the box can have moved, metres.
+    pub fn moved_since(&self, earlier: &Self) -> f64 {
         let squares = self.0.iter().zip(&earlier.0).map(|(a, b)| a.distance_squared(*b));
         squares.fold(0.0, f64::max).sqrt()
     }

@@ -11,6 +11,7 @@ use crate::contacts::{Contact, LinkPairs};
 use crate::finding::Finding;
 use crate::judge::{Geometry, Scenery};
 use crate::kinematics::Frame;
+use crate::near::Corners;
 
 /// Distances are measured up to this far from a sphere's surface, metres.
 const REACH_M: f64 = 0.06;
@@ -32,6 +33,7 @@ pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Op
     let obstacles = geometry.obstacles.len();
     // Where each sphere was last measured against each obstacle, and the free distance found there.
     let mut measured: Vec<Option<(Vector, f64)>> = vec![None; spheres.len() * obstacles];
+    let mut gaps: Vec<Measured> = vec![None; geometry.sphere_pairs.len()];
     for scenery in sceneries {
         let centers = centers(spheres, &scenery.robot);
         for (index, (sphere, &center)) in spheres.iter().zip(&centers).enumerate() {
@@ -61,10 +63,10 @@ pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Op
                 }
             }
         }
-        for &(a, b) in &geometry.sphere_pairs {
-            let overlap = spheres[a].radius + spheres[b].radius - centers[a].distance(centers[b]);
+        for (pair, memory) in geometry.sphere_pairs.iter().zip(&mut gaps) {
+            let overlap = -pair.gap(spheres, &centers, &scenery.robot, tolerance_m, memory);
             if overlap > tolerance_m {
-                let [link_a, link_b] = [a, b].map(|s| &geometry.link_names[spheres[s].link]);
+                let [link_a, link_b] = pair.links.map(|link| &geometry.link_names[link]);
                 return Some(Finding::new(
                     Rejection::SphereCollision,
                     format!(
@@ -79,23 +81,74 @@ pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Op
     None
 }
 
-/// Pairs of spheres on links that must not touch.
-pub fn pairs(spheres: &[RobotSphere], links: &LinkPairs) -> Vec<(usize, usize)> {
-    let ordered = (0..spheres.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
-    ordered.filter(|&(a, b)| links.checked(spheres[a].link, spheres[b].link)).collect()
+/// Two links whose spheres must not overlap.
+#[derive(Debug, Clone)]
+pub struct SpherePair {
+    /// The links.
+    pub links: [usize; 2],
+    /// Spheres of each link.
+    spheres: [Vec<usize>; 2],
+    /// Box around the centres of the second link's spheres, in that link's frame.
+    bounds: Aabb,
+}
+
+/// The gap between two links' spheres when it was last measured, and where they were.
+type Measured = Option<(Corners, f64)>;
+
+impl SpherePair {
+    /// Smallest free distance between spheres of the two links, negative where they overlap; infinite
+    /// where the links have moved too little since the last measurement to have come together.
+    fn gap(
+        &self,
+        spheres: &[RobotSphere],
+        centers: &[Vector],
+        robot: &[Frame],
+        tolerance_m: f64,
+        memory: &mut Measured,
+    ) -> f64 {
+        let [link_a, link_b] = self.links;
+        let corners = Corners::of(&self.bounds, &robot[link_a].inverse().then(&robot[link_b]));
+        if let Some((earlier, gap)) = memory
+            && corners.moved_since(earlier) < *gap + tolerance_m
+        {
+            return f64::INFINITY;
+        }
+        let [of_a, of_b] = &self.spheres;
+        let pairs = of_a.iter().flat_map(|&a| of_b.iter().map(move |&b| (a, b)));
+        let gap = pairs
+            .map(|(a, b)| centers[a].distance(centers[b]) - spheres[a].radius - spheres[b].radius)
+            .fold(f64::INFINITY, f64::min);
+        *memory = Some((corners, gap));
+        gap
+    }
+}
+
+/// Pairs of links that carry spheres and must not touch.
+pub fn pairs(spheres: &[RobotSphere], links: &LinkPairs) -> Vec<SpherePair> {
+    let mut carriers: Vec<usize> = spheres.iter().map(|sphere| sphere.link).collect();
+    carriers.sort_unstable();
+    carriers.dedup();
+    let of_link = |link: usize| (0..spheres.len()).filter(move |&s| spheres[s].link == link);
+    let ordered = carriers.iter().flat_map(|&b| carriers.iter().map(move |&a| (a, b)));
+    ordered
+        .filter(|&(a, b)| a < b && links.checked(a, b))
+        .map(|(a, b)| SpherePair {
+            links: [a, b],
+            spheres: [a, b].map(|link| of_link(link).collect()),
+            bounds: Aabb::from_points(of_link(b).map(|s| Vector::from(spheres[s].center))),
+        })
+        .collect()
 }
 
 /// Link pairs whose spheres overlap.
 pub fn overlapping_links(
     spheres: &[RobotSphere],
-    pairs: &[(usize, usize)],
+    pairs: &[SpherePair],
     robot: &[Frame],
 ) -> Vec<[usize; 2]> {
     let centers = centers(spheres, robot);
-    let overlapping = pairs
-        .iter()
-        .filter(|&&(a, b)| centers[a].distance(centers[b]) < spheres[a].radius + spheres[b].radius);
-    overlapping.map(|&(a, b)| [spheres[a].link, spheres[b].link]).collect()
+    let overlaps = |pair: &&SpherePair| pair.gap(spheres, &centers, robot, 0.0, &mut None) < 0.0;
+    pairs.iter().filter(overlaps).map(|pair| pair.links).collect()
 }
 
 fn centers(spheres: &[RobotSphere], robot: &[Frame]) -> Vec<Vector> {
