@@ -11,6 +11,8 @@
 //!   are seen, while depth steps and sharp edges are not. All other pixels lie on **silhouettes**.
 //! - **Depth agreement** is the share, of the inner pixels where either image sees anything, in which both do
 //!   and the depths differ by at most the tolerance.
+//! - **Inner share** is the share of inner pixels in all compared images together: a single view of a wire
+//!   rack may consist of silhouettes, but the mask must not hide most of what is compared.
 //! - **Intersection over union** of a segment id is taken over all pixels of the image, silhouettes
 //!   included, for each id that covers at least 500 pixels of either image.
 
@@ -29,8 +31,8 @@ pub struct Tolerance {
     pub depth_m: f64,
     /// Least share of inner pixels whose depth agrees.
     pub depth_agreement: f64,
-    /// Least share of all pixels that must be inner, so that the mask cannot hide the differences.
-    pub inner: f64,
+    /// Least inner share, so that the mask cannot hide the differences.
+    pub inner_share: f64,
     /// Intersection over union that every large segment must exceed.
     pub segment_iou: f64,
     /// Pixels a segment must cover to be judged.
@@ -42,7 +44,7 @@ impl Default for Tolerance {
         Self {
             depth_m: 0.002,
             depth_agreement: 0.99,
-            inner: 0.85,
+            inner_share: 0.85,
             segment_iou: 0.97,
             segment_pixels: 500,
         }
@@ -67,8 +69,10 @@ pub struct SegmentAgreement {
 pub struct Comparison {
     /// Camera name.
     pub camera: String,
-    /// Share of all pixels that are inner.
-    pub inner: f64,
+    /// Pixels of the image.
+    pub pixels: usize,
+    /// Pixels away from silhouettes.
+    pub inner_pixels: usize,
     /// Inner pixels where either image sees anything.
     pub seen_pixels: usize,
     /// Share of those whose depth agrees; 1 where there are none.
@@ -112,7 +116,8 @@ impl Comparison {
         color_differences.sort_unstable();
         Self {
             camera: reference.name.clone(),
-            inner: share(inner.iter().filter(|&&is_inner| is_inner).count(), inner.len()),
+            pixels: inner.len(),
+            inner_pixels: inner.iter().filter(|&&is_inner| is_inner).count(),
             seen_pixels,
             depth_agreement: share(agreeing, seen_pixels),
             depth_p99_m: percentile_99(&differences).unwrap_or(0.0),
@@ -121,18 +126,12 @@ impl Comparison {
         }
     }
 
-    /// The first demand of `tolerance` that is not met, in words.
+    /// The first demand of `tolerance` on a single image that is not met, in words.
     pub fn violation(&self, tolerance: &Tolerance) -> Option<String> {
-        if self.inner < tolerance.inner {
-            return Some(format!(
-                "only {:.1}% of the pixels lie away from silhouettes, at least {:.1}% must",
-                100.0 * self.inner,
-                100.0 * tolerance.inner
-            ));
-        }
         if self.depth_agreement < tolerance.depth_agreement {
             return Some(format!(
-                "depth agrees within {} m in {:.2}% of {} pixels, at least {:.2}% must",
+                "{}: depth agrees within {} m in {:.2}% of {} pixels, at least {:.2}% must",
+                self.camera,
                 tolerance.depth_m,
                 100.0 * self.depth_agreement,
                 self.seen_pixels,
@@ -142,11 +141,27 @@ impl Comparison {
         let worst = self.segments.iter().min_by(|a, b| a.iou.total_cmp(&b.iou))?;
         (worst.iou <= tolerance.segment_iou).then(|| {
             format!(
-                "segment {} has an intersection over union of {:.4}, which must exceed {}",
-                worst.id, worst.iou, tolerance.segment_iou
+                "{}: segment {} has an intersection over union of {:.4}, which must exceed {}",
+                self.camera, worst.id, worst.iou, tolerance.segment_iou
             )
         })
     }
+}
+
+/// The first demand of `tolerance` that a set of compared images does not meet, in words.
+pub fn violation(comparisons: &[Comparison], tolerance: &Tolerance) -> Option<String> {
+    let inner_share = share(
+        comparisons.iter().map(|comparison| comparison.inner_pixels).sum(),
+        comparisons.iter().map(|comparison| comparison.pixels).sum(),
+    );
+    if inner_share < tolerance.inner_share {
+        return Some(format!(
+            "only {:.1}% of the pixels lie away from silhouettes, at least {:.1}% must",
+            100.0 * inner_share,
+            100.0 * tolerance.inner_share
+        ));
+    }
+    comparisons.iter().find_map(|comparison| comparison.violation(tolerance))
 }
 
 impl fmt::Display for Comparison {
@@ -157,7 +172,7 @@ impl fmt::Display for Comparison {
             "{}: {:.1}% inner pixels, depth agrees in {:.3}% of {} (99th percentile {:.2e} m), worst \
              IoU of {} segments {worst:.4}, 99th percentile of the colour difference {} levels",
             self.camera,
-            100.0 * self.inner,
+            100.0 * share(self.inner_pixels, self.pixels),
             100.0 * self.depth_agreement,
             self.seen_pixels,
             self.depth_p99_m,
@@ -299,23 +314,23 @@ mod tests {
     fn equal_images_agree() {
         let image = frame(|u, v| (floor(v), if u < 30 { 1 } else { 2 }));
         let comparison = compare(&image, &image);
-        assert_eq!(comparison.violation(&Tolerance::default()), None, "{comparison}");
         assert_eq!(comparison.segments.len(), 2);
+        assert_eq!(violation(&[comparison], &Tolerance::default()), None);
     }
 
     #[test]
     fn each_demand_can_be_violated() {
         let wall = |depth: f64| frame(move |_, _| (depth, 1));
-        let violation = |a: &CameraFrame, b: &CameraFrame| {
-            compare(a, b).violation(&Tolerance::default()).expect("a violation")
+        let violated = |a: &CameraFrame, b: &CameraFrame| {
+            violation(&[compare(a, b)], &Tolerance::default()).expect("a violation")
         };
-        assert!(violation(&wall(1.0), &wall(1.003)).contains("depth agrees"));
-        assert!(violation(&wall(1.0), &frame(|_, _| (0.0, 0))).contains("depth agrees"));
-        assert!(violation(&frame(|_, _| (0.0, 0)), &wall(1.0)).contains("depth agrees"));
+        assert!(violated(&wall(1.0), &wall(1.003)).contains("depth agrees"));
+        assert!(violated(&wall(1.0), &frame(|_, _| (0.0, 0))).contains("depth agrees"));
+        assert!(violated(&frame(|_, _| (0.0, 0)), &wall(1.0)).contains("depth agrees"));
         let noise = frame(|u, v| (1.0, 1 + ((u + v) % 2) as u16));
-        assert!(violation(&noise, &noise).contains("silhouettes"));
+        assert!(violated(&noise, &noise).contains("silhouettes"));
         let halves = |at: u32| frame(move |u, _| (1.0, if u < at { 1 } else { 2 }));
-        assert!(violation(&halves(32), &halves(34)).contains("intersection over union"));
+        assert!(violated(&halves(32), &halves(34)).contains("intersection over union"));
     }
 
     #[test]

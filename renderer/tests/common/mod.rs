@@ -6,7 +6,7 @@ pub mod ray_tracer;
 
 use std::sync::Arc;
 
-use akrobat_cameras::Intrinsics;
+use akrobat_cameras::{CameraFrame, Intrinsics};
 use akrobat_model::{Material, Part, Phase, Pose, Shape, TriMesh};
 use akrobat_renderer::{BodyGroup, FrameState, PlacedCamera, RenderScene};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -111,4 +111,23 @@ pub fn camera(name: &str, eye: [f64; 3], target: [f64; 3], focal_mm: f64) -> Pla
             UnitQuaternion::from_rotation_matrix(&rotation),
         ),
     }
+}
+
+/// Writes two images and the first one's silhouettes side by side into the folder
+/// `$AKROBAT_TEST_IMAGES`, where it is set: to look at what was compared.
+pub fn keep_images(name: &str, left: &CameraFrame, right: &CameraFrame) {
+    let Some(folder) = std::env::var_os("AKROBAT_TEST_IMAGES") else { return };
+    let (width, height) = (left.intrinsics.width, left.intrinsics.height);
+    let inner = akrobat_renderer::compare::inner_pixels(left);
+    let picture = image::RgbImage::from_fn(3 * width, height, |u, v| {
+        let pixel = (v * width + u % width) as usize;
+        let rgb = |frame: &CameraFrame| std::array::from_fn(|i| frame.rgb[3 * pixel + i]);
+        image::Rgb(match u / width {
+            0 => rgb(left),
+            1 => rgb(right),
+            _ => [if inner[pixel] { 255 } else { 0 }; 3],
+        })
+    });
+    std::fs::create_dir_all(&folder).unwrap();
+    picture.save(std::path::Path::new(&folder).join(format!("{name}.png"))).unwrap();
 }
