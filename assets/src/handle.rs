@@ -103,9 +103,15 @@ pub fn handle_link(
         HandleStyle::Knob { diameter_m, depth_m } => knob(diameter_m, depth_m),
     };
     link.add_visual("grip", finish, solids.into_iter().map(|s| s.moved(&turn)).collect());
+    // Named as the pieces of the visual part "grip", so that reports and contact rules can tell.
     link.collisions = boxes
         .into_iter()
-        .map(|b| CollisionBox { link_from_box: turn * b.link_from_box, ..b })
+        .enumerate()
+        .map(|(index, piece)| CollisionBox {
+            name: format!("grip_col{index}"),
+            link_from_box: turn * piece.link_from_box,
+            ..piece
+        })
         .collect();
     link
 }
