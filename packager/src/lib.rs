@@ -3,6 +3,7 @@
 //! Files appear under their final name only when they are whole: they are written under a
 //! temporary name in the same folder, synced and renamed. The same input gives the same bytes.
 
+pub mod dataset;
 pub mod episode;
 pub mod error;
 mod h5;
@@ -11,6 +12,7 @@ pub mod shard;
 pub mod trajectory_file;
 mod whole_file;
 
+pub use dataset::{DatasetConfig, DatasetReader, DatasetWriter, check_writable, validate};
 pub use episode::{Attachment, DepthEncoding, EpisodeInfo};
 pub use error::PackError;
 pub use mcap_log::{ColorEncoding, McapWriter};

@@ -47,16 +47,6 @@ impl H5Reader {
             .map_err(|_| PackError::content(&self.path, name, "a group", "no such group"))
     }
 
-    /// True where there is something under the absolute path `name`.
-    pub fn has(&self, name: &str) -> bool {
-        let mut prefix = String::new();
-        name.trim_matches('/').split('/').all(|part| {
-            prefix.push('/');
-            prefix.push_str(part);
-            self.file.link_exists(&prefix)
-        })
-    }
-
     /// A dataset by its absolute path.
     pub fn dataset(&self, name: &str) -> Result<Dataset> {
         self.file

@@ -357,6 +357,10 @@ pub(crate) fn check_observation(
     ];
     for (camera, images) in info.rig.cameras.iter().zip(&observation.cameras) {
         let pixels = camera.width as usize * camera.height as usize;
+        if camera.name != images.name {
+            let item = format!("frame {frame} of episode {}: camera", info.id);
+            return Err(PackError::inconsistent(path, item, &camera.name, &images.name));
+        }
         counts.push((format!("{} rgb values", camera.name), 3 * pixels, images.rgb.len()));
         counts.push((format!("{} depths", camera.name), pixels, images.depth_m.len()));
         counts.push((format!("{} segments", camera.name), pixels, images.segmentation.len()));

@@ -1,0 +1,365 @@
+//! Writing a dataset folder, interrupted or not.
+//!
+//! Episodes are assigned to shards by their order alone, and a shard's lines enter the manifest,
+//! synced, only after the shard has its final name. Whatever a killed run leaves beyond the
+//! manifest is deleted on resuming and written again, so the finished folder has the same bytes.
+
+use std::collections::HashSet;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use akrobat_cameras::Observation;
+
+use super::manifest::{
+    self, Container, DESCRIPTION, DatasetConfig, Description, MANIFEST, ManifestEntry, Status,
+    StoredEpisode,
+};
+use crate::episode::EpisodeInfo;
+use crate::error::{PackError, Result};
+use crate::mcap_log::McapWriter;
+use crate::shard::ShardWriter;
+use crate::whole_file::PARTIAL_SUFFIX;
+
+/// Folder of the shards in a dataset folder.
+const SHARD_FOLDER: &str = "shards";
+
+/// Creates `folder` where it is absent and makes sure that files can be created in it.
+///
+/// # Errors
+/// [`PackError::Unwritable`], or [`PackError::Io`] where the disk is full.
+pub fn check_writable(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| PackError::create(folder, e))?;
+    tempfile::tempfile_in(folder).map_err(|e| PackError::create(folder, e))?;
+    Ok(())
+}
+
+/// Writes a dataset.
+#[derive(Debug)]
+pub struct DatasetWriter {
+    folder: PathBuf,
+    config: DatasetConfig,
+    /// Ids of all episodes in the manifest or pending.
+    known: HashSet<String>,
+    /// Number of shards that are closed.
+    shards: u32,
+    shard: Option<OpenShard>,
+    /// Lines that enter the manifest when the open shard is closed.
+    pending: Vec<ManifestEntry>,
+    /// Line of the episode between begin and finish.
+    current: Option<ManifestEntry>,
+}
+
+#[derive(Debug)]
+enum OpenShard {
+    Hdf5(Box<ShardWriter>),
+    Mcap(Box<McapWriter>),
+}
+
+impl DatasetWriter {
+    /// Starts a dataset in a folder that is empty or does not exist.
+    ///
+    /// # Errors
+    /// [`PackError::Unwritable`] where the folder cannot be written or holds something already.
+    pub fn create(folder: &Path, config: DatasetConfig) -> Result<Self> {
+        check_writable(folder)?;
+        let mut entries = std::fs::read_dir(folder).map_err(|e| PackError::create(folder, e))?;
+        if entries.next().is_some() {
+            let message = "the folder is not empty; resume the dataset in it or choose another";
+            let source = std::io::Error::new(std::io::ErrorKind::AlreadyExists, message);
+            return Err(PackError::Unwritable { path: folder.to_path_buf(), source });
+        }
+        Self::start(folder, config)
+    }
+
+    /// Continues a dataset that a run of the same configuration left, or starts one.
+    ///
+    /// # Errors
+    /// [`PackError::Content`] where the folder's dataset has another configuration or its whole shards
+    /// are gone, and as [`DatasetWriter::create`].
+    pub fn resume(folder: &Path, config: DatasetConfig) -> Result<Self> {
+        check_writable(folder)?;
+        if !folder.join(DESCRIPTION).exists() {
+            remove_partial(folder)?;
+            return Self::create(folder, config);
+        }
+        let description = Description::read(folder)?;
+        if description.config != config {
+            return Err(PackError::content(
+                &folder.join(DESCRIPTION),
+                "config",
+                "the configuration that the dataset was begun with",
+                "another one",
+            ));
+        }
+        let manifest = folder.join(MANIFEST);
+        if !manifest.exists() {
+            // The run was killed between the description and the manifest.
+            return Self::start(folder, config);
+        }
+        let (entries, whole_bytes) = manifest::read(folder)?;
+        truncate(&manifest, whole_bytes)?;
+        let stored: Vec<&str> =
+            entries.iter().filter_map(|e| e.stored.as_ref()).map(|s| s.shard.as_str()).collect();
+        let shards: HashSet<&str> = stored.into_iter().collect();
+        remove_unlisted(folder, &shards)?;
+        let shards = shards.len() as u32;
+        let known = entries.into_iter().map(|e| e.id).collect();
+        Description::new(config.clone(), false).write(folder)?;
+        Ok(Self { known, shards, ..Self::empty(folder, config) })
+    }
+
+    fn start(folder: &Path, config: DatasetConfig) -> Result<Self> {
+        let shards = folder.join(SHARD_FOLDER);
+        std::fs::create_dir_all(&shards).map_err(|e| PackError::create(&shards, e))?;
+        Description::new(config.clone(), false).write(folder)?;
+        crate::whole_file::write(&folder.join(MANIFEST), b"")?;
+        Ok(Self::empty(folder, config))
+    }
+
+    fn empty(folder: &Path, config: DatasetConfig) -> Self {
+        Self {
+            folder: folder.to_path_buf(),
+            config,
+            known: HashSet::new(),
+            shards: 0,
+            shard: None,
+            pending: Vec::new(),
+            current: None,
+        }
+    }
+
+    /// True where the episode is dealt with already, by this run or the one that is resumed.
+    pub fn contains(&self, id: &str) -> bool {
+        self.known.contains(id)
+    }
+
+    /// Starts an episode. All runs must bring the episodes in the same order.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where the id is known already, another episode is open, or the rig
+    /// is not the dataset's; [`PackError::Unwritable`] and [`PackError::Io`].
+    pub fn begin_episode(&mut self, info: EpisodeInfo) -> Result<()> {
+        self.check_new(&info.id)?;
+        if info.rig != self.config.rig {
+            let item = format!("episode {}", info.id);
+            let expected = format!("the dataset's rig {}", self.config.rig.name);
+            let got = format!("rig {}", info.rig.name);
+            return Err(PackError::inconsistent(&self.folder, item, expected, got));
+        }
+        let shard = self.shard_name();
+        let path = self.folder.join(&shard);
+        let mut stored = StoredEpisode {
+            shard,
+            key: String::new(),
+            shard_sha256: String::new(),
+            frames: info.frames,
+            success: info.success,
+            seed: info.seed,
+            traj_index: info.traj_index,
+            grasp_id: info.grasp_id,
+            goal: info.goal,
+            scene_id: info.scene_id.clone(),
+            object_id: info.object_id.clone(),
+            robot_id: info.robot_id.clone(),
+        };
+        let id = info.id.clone();
+        match self.config.container {
+            Container::Hdf5 => stored.key = self.hdf5_shard(&path)?.begin_episode(info)?,
+            Container::Mcap => {
+                let writer = McapWriter::create(&path, info, self.config.color)?;
+                self.shard = Some(OpenShard::Mcap(Box::new(writer)));
+            }
+        }
+        let entry = ManifestEntry {
+            id,
+            status: Status::Accepted,
+            reason: String::new(),
+            stored: Some(stored),
+        };
+        self.current = Some(entry);
+        Ok(())
+    }
+
+    /// Takes the next frame of the open episode.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where the observation does not fit, [`PackError::Io`].
+    pub fn push(&mut self, observation: Observation) -> Result<()> {
+        match &mut self.shard {
+            Some(OpenShard::Hdf5(shard)) => shard.push(observation),
+            Some(OpenShard::Mcap(log)) => log.push(&observation),
+            None => Err(self.no_episode()),
+        }
+    }
+
+    /// Completes the open episode, and the shard where it is full.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where frames are missing, [`PackError::Io`].
+    pub fn finish_episode(&mut self) -> Result<()> {
+        let entry = self.current.take().ok_or_else(|| self.no_episode())?;
+        let full = match &mut self.shard {
+            Some(OpenShard::Hdf5(shard)) => {
+                shard.finish_episode()?;
+                shard.episodes() >= self.config.episodes_per_shard.max(1)
+                    || self.config.shard_bytes.is_some_and(|limit| shard.size() >= limit)
+            }
+            Some(OpenShard::Mcap(_)) => true,
+            None => return Err(self.no_episode()),
+        };
+        self.known.insert(entry.id.clone());
+        self.pending.push(entry);
+        if full { self.close_shard() } else { Ok(()) }
+    }
+
+    /// Records an episode that is not stored.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where the id is known already or an episode is open.
+    pub fn skip_episode(&mut self, id: &str, status: Status, reason: &str) -> Result<()> {
+        self.check_new(id)?;
+        self.known.insert(id.to_owned());
+        let entry =
+            ManifestEntry { id: id.to_owned(), status, reason: reason.to_owned(), stored: None };
+        self.pending.push(entry);
+        Ok(())
+    }
+
+    /// Closes the last shard and marks the dataset as complete.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where an episode is still open, [`PackError::Io`].
+    pub fn close(mut self) -> Result<()> {
+        if let Some(entry) = &self.current {
+            let item = format!("episode {}", entry.id);
+            return Err(PackError::inconsistent(
+                &self.folder,
+                item,
+                "it to be finished",
+                "it open",
+            ));
+        }
+        self.close_shard()?;
+        Description::new(self.config.clone(), true).write(&self.folder)
+    }
+
+    fn shard_name(&self) -> String {
+        match self.config.container {
+            Container::Hdf5 => format!("{SHARD_FOLDER}/shard_{:06}.hdf5", self.shards),
+            Container::Mcap => format!("{SHARD_FOLDER}/episode_{:06}.mcap", self.shards),
+        }
+    }
+
+    fn hdf5_shard(&mut self, path: &Path) -> Result<&mut ShardWriter> {
+        if self.shard.is_none() {
+            let writer = ShardWriter::create(path, self.config.depth)?;
+            self.shard = Some(OpenShard::Hdf5(Box::new(writer)));
+        }
+        match &mut self.shard {
+            Some(OpenShard::Hdf5(shard)) => Ok(shard),
+            _ => unreachable!("the container of a dataset never changes"),
+        }
+    }
+
+    fn close_shard(&mut self) -> Result<()> {
+        if let Some(shard) = self.shard.take() {
+            match shard {
+                OpenShard::Hdf5(shard) => shard.finish()?,
+                OpenShard::Mcap(log) => log.finish()?,
+            }
+            let sha256 = sha256_of_file(&self.folder.join(self.shard_name()))?;
+            for stored in self.pending.iter_mut().filter_map(|e| e.stored.as_mut()) {
+                stored.shard_sha256.clone_from(&sha256);
+            }
+            self.shards += 1;
+        }
+        let lines = manifest::to_lines(&self.pending);
+        self.pending.clear();
+        append(&self.folder.join(MANIFEST), &lines)
+    }
+
+    fn check_new(&self, id: &str) -> Result<()> {
+        let got = match (&self.current, self.known.contains(id)) {
+            (Some(open), _) => format!("episode {} open", open.id),
+            (None, true) => "it is in the dataset already".to_owned(),
+            (None, false) => return Ok(()),
+        };
+        Err(PackError::inconsistent(&self.folder, format!("episode {id}"), "a new episode", got))
+    }
+
+    fn no_episode(&self) -> PackError {
+        PackError::inconsistent(&self.folder, "a frame", "an episode to be begun", "none")
+    }
+}
+
+fn append(path: &Path, lines: &str) -> Result<()> {
+    if lines.is_empty() {
+        return Ok(());
+    }
+    let mut file =
+        OpenOptions::new().append(true).open(path).map_err(|e| PackError::create(path, e))?;
+    file.write_all(lines.as_bytes())
+        .and_then(|()| file.sync_all())
+        .map_err(|e| PackError::io(path, e))
+}
+
+fn truncate(path: &Path, length: u64) -> Result<()> {
+    let file = OpenOptions::new().write(true).open(path).map_err(|e| PackError::create(path, e))?;
+    file.set_len(length).and_then(|()| file.sync_all()).map_err(|e| PackError::io(path, e))
+}
+
+/// Lower-case hexadecimal SHA-256 of a file, read in pieces.
+pub(crate) fn sha256_of_file(path: &Path) -> Result<String> {
+    use sha2::{Digest, Sha256};
+    let mut file = std::fs::File::open(path).map_err(|e| PackError::read(path, e))?;
+    let mut digest = Sha256::new();
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        match std::io::Read::read(&mut file, &mut buffer).map_err(|e| PackError::io(path, e))? {
+            0 => break,
+            count => digest.update(&buffer[..count]),
+        }
+    }
+    Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn remove_partial(folder: &Path) -> Result<()> {
+    for path in files_in(folder)? {
+        if path.as_os_str().to_string_lossy().ends_with(PARTIAL_SUFFIX) {
+            std::fs::remove_file(&path).map_err(|e| PackError::io(&path, e))?;
+        }
+    }
+    Ok(())
+}
+
+/// Deletes temporary files, and shards that never reached the manifest.
+fn remove_unlisted(folder: &Path, listed: &HashSet<&str>) -> Result<()> {
+    remove_partial(folder)?;
+    let shards = folder.join(SHARD_FOLDER);
+    std::fs::create_dir_all(&shards).map_err(|e| PackError::create(&shards, e))?;
+    for path in files_in(&shards)? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if !listed.contains(format!("{SHARD_FOLDER}/{name}").as_str()) {
+            std::fs::remove_file(&path).map_err(|e| PackError::io(&path, e))?;
+        }
+    }
+    for name in listed {
+        let path = folder.join(name);
+        if !path.is_file() {
+            return Err(PackError::content(
+                &path,
+                "shard",
+                "the file that the manifest lists",
+                "none",
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|e| PackError::io(folder, e))?;
+    let paths = entries.map(|entry| entry.map(|e| e.path())).collect::<std::io::Result<Vec<_>>>();
+    Ok(paths.map_err(|e| PackError::io(folder, e))?.into_iter().filter(|p| p.is_file()).collect())
+}
