@@ -64,11 +64,7 @@ pub fn task(path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
 ///
 /// # Errors
 /// As [`task`].
-pub fn task_from_text(
-    text: String,
-    path: &Path,
-    search: &AssetSearch,
-) -> Result<Task, ModelError> {
+pub fn task_from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
     task::from_text(text, path, search)
 }
 
@@ -110,11 +106,7 @@ fn check_position(place: &str, joint: &crate::Joint, position: f64) -> Result<()
 }
 
 /// A joint's index by name, in an error about `place` where there is none.
-fn joint_index(
-    place: &str,
-    tree: &crate::KinematicTree,
-    name: &str,
-) -> Result<usize, ModelError> {
+fn joint_index(place: &str, tree: &crate::KinematicTree, name: &str) -> Result<usize, ModelError> {
     tree.joint_index(name).map_err(|e| at_place(place, e))
 }
 

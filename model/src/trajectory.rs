@@ -51,7 +51,8 @@ impl JointPath {
 
     /// A table from row-major values; `None` if they do not fill whole rows.
     pub fn from_values(columns: usize, values: Vec<f32>) -> Option<Self> {
-        let whole = if columns == 0 { values.is_empty() } else { values.len() % columns == 0 };
+        let whole =
+            if columns == 0 { values.is_empty() } else { values.len().is_multiple_of(columns) };
         whole.then_some(Self { columns, values })
     }
 

@@ -36,7 +36,10 @@ fn bad_mesh(name: &str, content: impl AsRef<[u8]>, expected: &[&str]) {
 #[test]
 fn the_unedited_files_are_accepted() {
     let task = Files::new().task().unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!(task.robot.trajectory_joint_names(), ["base_x", "base_y", "base_theta", "lift", "elbow", "grip"]);
+    assert_eq!(
+        task.robot.trajectory_joint_names(),
+        ["base_x", "base_y", "base_theta", "lift", "elbow", "grip"]
+    );
     assert_eq!(task.object.tree.links()[task.object.handle_link].name, "door");
     assert_eq!(task.scene.bodies.len(), 6);
 }
@@ -52,7 +55,11 @@ fn missing_files() {
 #[test]
 fn missing_mesh() {
     let mesh = r#"<mesh filename="package://pack/door.obj"/>"#;
-    bad_urdf(r#"<box size="0.02 0.6 0.8"/>"#, mesh, &["line 4", "link \"door\"", "package://pack/door.obj", "tried", "door.obj"]);
+    bad_urdf(
+        r#"<box size="0.02 0.6 0.8"/>"#,
+        mesh,
+        &["line 4", "link \"door\"", "package://pack/door.obj", "tried", "door.obj"],
+    );
 }
 
 #[test]
@@ -65,12 +72,20 @@ fn broken_mesh_names_link_and_urdf() {
 
 #[test]
 fn cyclic_urdf() {
-    bad_urdf("</robot>", r#"<joint name="back" type="fixed"><parent link="door"/><child link="case"/></joint></robot>"#, &["cycle"]);
+    bad_urdf(
+        "</robot>",
+        r#"<joint name="back" type="fixed"><parent link="door"/><child link="case"/></joint></robot>"#,
+        &["cycle"],
+    );
 }
 
 #[test]
 fn two_parents() {
-    bad_urdf("</robot>", r#"<joint name="two" type="fixed"><parent link="case"/><child link="door"/></joint></robot>"#, &["two parent joints", "door hinge"]);
+    bad_urdf(
+        "</robot>",
+        r#"<joint name="two" type="fixed"><parent link="case"/><child link="door"/></joint></robot>"#,
+        &["two parent joints", "door hinge"],
+    );
 }
 
 #[test]
@@ -85,12 +100,20 @@ fn repeated_name() {
 
 #[test]
 fn zero_axis() {
-    bad_urdf("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", &["line 7", "door hinge", "no direction"]);
+    bad_urdf(
+        "<axis xyz=\"0 0 1\"/>",
+        "<axis xyz=\"0 0 0\"/>",
+        &["line 7", "door hinge", "no direction"],
+    );
 }
 
 #[test]
 fn nan_axis() {
-    bad_urdf("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 nan 1\"/>", &["line 7", "3 finite numbers", "nan"]);
+    bad_urdf(
+        "<axis xyz=\"0 0 1\"/>",
+        "<axis xyz=\"0 nan 1\"/>",
+        &["line 7", "3 finite numbers", "nan"],
+    );
 }
 
 #[test]
@@ -100,32 +123,56 @@ fn nan_origin() {
 
 #[test]
 fn inverted_limits() {
-    bad_urdf("lower=\"0\" upper=\"1.57\"", "lower=\"1.57\" upper=\"0\"", &["line 8", "inverted limits", "1.57"]);
+    bad_urdf(
+        "lower=\"0\" upper=\"1.57\"",
+        "lower=\"1.57\" upper=\"0\"",
+        &["line 8", "inverted limits", "1.57"],
+    );
 }
 
 #[test]
 fn absent_limits() {
-    bad_urdf("<limit lower=\"0\" upper=\"1.57\"/>", "", &["door hinge", "lacks <limit", "continuous"]);
+    bad_urdf(
+        "<limit lower=\"0\" upper=\"1.57\"/>",
+        "",
+        &["door hinge", "lacks <limit", "continuous"],
+    );
 }
 
 #[test]
 fn unknown_joint_kind() {
-    bad_urdf("type=\"revolute\"", "type=\"floating\"", &["floating", "revolute, continuous, prismatic, fixed"]);
+    bad_urdf(
+        "type=\"revolute\"",
+        "type=\"floating\"",
+        &["floating", "revolute, continuous, prismatic, fixed"],
+    );
 }
 
 #[test]
 fn unknown_shape() {
-    bad_urdf("<box size=\"0.4 0.6 0.8\"/>", "<cone/>", &["line 2", "cone", "box, cylinder, sphere, mesh"]);
+    bad_urdf(
+        "<box size=\"0.4 0.6 0.8\"/>",
+        "<cone/>",
+        &["line 2", "cone", "box, cylinder, sphere, mesh"],
+    );
 }
 
 #[test]
 fn unknown_parent_link() {
-    bad_urdf("<parent link=\"case\"/>", "<parent link=\"crate\"/>", &["line 7", "door hinge", "unknown link \"crate\"", "case, door"]);
+    bad_urdf(
+        "<parent link=\"case\"/>",
+        "<parent link=\"crate\"/>",
+        &["line 7", "door hinge", "unknown link \"crate\"", "case, door"],
+    );
 }
 
 #[test]
 fn mimic_of_nothing_and_of_itself() {
-    bad_urdf("</joint>", "<mimic joint=\"ghost\"/></joint>", &["unknown joint \"ghost\"", "door hinge"]);
+    bad_urdf(
+        "</joint>",
+        "<mimic joint=\"ghost\"/></joint>",
+        &["unknown joint \"ghost\"", "door hinge"],
+    );
     bad_urdf("</joint>", "<mimic joint=\"door hinge\"/></joint>", &["door hinge", "mimics itself"]);
 }
 
@@ -167,47 +214,131 @@ fn malformed_xml() {
 
 #[test]
 fn negative_mass() {
-    bad_urdf("<link name=\"case\">", "<link name=\"case\"><inertial><mass value=\"-1\"/></inertial>", &["line 2", "at least 0 kg"]);
+    bad_urdf(
+        "<link name=\"case\">",
+        "<link name=\"case\"><inertial><mass value=\"-1\"/></inertial>",
+        &["line 2", "at least 0 kg"],
+    );
 }
 
 #[test]
 fn malformed_toml_and_unknown_keys() {
     bad_file("task.toml", "name = \"open the box\"", "name = ", &["line 1"]);
-    bad_file("task.toml", "positions", "postions", &["unknown field `postions`", "`start`", "`positions`"]);
+    bad_file(
+        "task.toml",
+        "positions",
+        "postions",
+        &["unknown field `postions`", "`start`", "`positions`"],
+    );
     bad_file("bot.toml", "retract", "rest", &["unknown field `rest`", "`joints`", "`retract`"]);
-    bad_file("bot.toml", "holonomic", "flying", &["flying", "`holonomic`", "`fixed`", "`differential`"]);
+    bad_file(
+        "bot.toml",
+        "holonomic",
+        "flying",
+        &["flying", "`holonomic`", "`fixed`", "`differential`"],
+    );
 }
 
 #[test]
 fn unknown_object_names() {
-    bad_file("task.toml", "joint = \"door hinge\"", "joint = \"hinge\"", &["object.joint", "unknown joint \"hinge\"", "door hinge"]);
-    bad_file("task.toml", "link = \"door\"", "link = \"dor\"", &["object.handle.link", "unknown link \"dor\"", "case, door"]);
-    bad_file("task.toml", "link = \"door\"", "link = \"case\"", &["object.handle.link", "moved by joint", "door"]);
-    bad_file("task.toml", "parts = [\"knob\"]", "parts = [\"handle*\"]", &["unknown part \"handle*\"", "panel, knob"]);
+    bad_file(
+        "task.toml",
+        "joint = \"door hinge\"",
+        "joint = \"hinge\"",
+        &["object.joint", "unknown joint \"hinge\"", "door hinge"],
+    );
+    bad_file(
+        "task.toml",
+        "link = \"door\"",
+        "link = \"dor\"",
+        &["object.handle.link", "unknown link \"dor\"", "case, door"],
+    );
+    bad_file(
+        "task.toml",
+        "link = \"door\"",
+        "link = \"case\"",
+        &["object.handle.link", "moved by joint", "door"],
+    );
+    bad_file(
+        "task.toml",
+        "parts = [\"knob\"]",
+        "parts = [\"handle*\"]",
+        &["unknown part \"handle*\"", "panel, knob"],
+    );
 }
 
 #[test]
 fn unknown_robot_names() {
-    bad_file("bot.toml", "\"lift\", \"elbow\"", "\"lift\", \"wrist\"", &["arm.joints", "unknown joint \"wrist\"", "elbow"]);
-    bad_file("bot.toml", "\"lift\", \"elbow\"", "\"elbow\", \"lift\"", &["arm.joints", "out of order"]);
-    bad_file("bot.toml", "\"lift\", \"elbow\"", "\"lift\", \"grip\"", &["arm.joints", "not on the chain", "lift, elbow"]);
-    bad_file("bot.toml", "tool_link = \"hand\"", "tool_link = \"palm\"", &["gripper.tool_link", "unknown link \"palm\"", "hand"]);
-    bad_file("bot.toml", "[\"finger\"]", "[\"thumb\"]", &["gripper.finger_links", "unknown link \"thumb\"", "finger"]);
+    bad_file(
+        "bot.toml",
+        "\"lift\", \"elbow\"",
+        "\"lift\", \"wrist\"",
+        &["arm.joints", "unknown joint \"wrist\"", "elbow"],
+    );
+    bad_file(
+        "bot.toml",
+        "\"lift\", \"elbow\"",
+        "\"elbow\", \"lift\"",
+        &["arm.joints", "out of order"],
+    );
+    bad_file(
+        "bot.toml",
+        "\"lift\", \"elbow\"",
+        "\"lift\", \"grip\"",
+        &["arm.joints", "not on the chain", "lift, elbow"],
+    );
+    bad_file(
+        "bot.toml",
+        "tool_link = \"hand\"",
+        "tool_link = \"palm\"",
+        &["gripper.tool_link", "unknown link \"palm\"", "hand"],
+    );
+    bad_file(
+        "bot.toml",
+        "[\"finger\"]",
+        "[\"thumb\"]",
+        &["gripper.finger_links", "unknown link \"thumb\"", "finger"],
+    );
 }
 
 #[test]
 fn robot_values_out_of_range() {
     bad_file("bot.toml", "[0.1, 0.5]", "[0.1, 5.0]", &["arm.retract", "elbow", "-1 to 1"]);
     bad_file("bot.toml", "[0.1, 0.5]", "[0.1]", &["arm.retract", "expected 2 values"]);
-    bad_file("bot.toml", "open = [0.04]", "open = [0.04, 0.04]", &["gripper.open", "expected 1 values", "got 2"]);
-    bad_file("bot.toml", "open_width_m = 0.08", "open_width_m = -0.08", &["gripper.open_width_m", "above 0"]);
-    bad_file("bot.toml", "0.1, 1.0, 0.0, 0.0, 0.0]", "0.1, 0.0, 0.0, 0.0, 0.0]", &["gripper.link_from_tool", "quaternion"]);
-    bad_file("bot.toml", "[arm]", "joints = [\"lift\", \"elbow\", \"grip\"]\n[arm]", &["base.joints", "elbow", "prismatic"]);
+    bad_file(
+        "bot.toml",
+        "open = [0.04]",
+        "open = [0.04, 0.04]",
+        &["gripper.open", "expected 1 values", "got 2"],
+    );
+    bad_file(
+        "bot.toml",
+        "open_width_m = 0.08",
+        "open_width_m = -0.08",
+        &["gripper.open_width_m", "above 0"],
+    );
+    bad_file(
+        "bot.toml",
+        "0.1, 1.0, 0.0, 0.0, 0.0]",
+        "0.1, 0.0, 0.0, 0.0, 0.0]",
+        &["gripper.link_from_tool", "quaternion"],
+    );
+    bad_file(
+        "bot.toml",
+        "[arm]",
+        "joints = [\"lift\", \"elbow\", \"grip\"]\n[arm]",
+        &["base.joints", "elbow", "prismatic"],
+    );
 }
 
 #[test]
 fn goals_out_of_limits() {
-    bad_file("task.toml", "[1.0, 1.5]", "[1.0, 2.5]", &["goal.positions", "2.5", "door hinge", "0 to 1.57"]);
+    bad_file(
+        "task.toml",
+        "[1.0, 1.5]",
+        "[1.0, 2.5]",
+        &["goal.positions", "2.5", "door hinge", "0 to 1.57"],
+    );
     bad_file("task.toml", "[1.0, 1.5]", "[]", &["goal.positions", "at least one"]);
     bad_file("task.toml", "[1.0, 1.5]", "[nan]", &["goal.positions", "NaN"]);
     bad_file("task.toml", "[goal]", "[goal]\nstart = -0.5", &["goal.start", "-0.5", "0 to 1.57"]);
@@ -221,9 +352,24 @@ fn placing() {
     bad_file("task.toml", "[1.0, 0.0, 0.4, 1.0,", "[1.0, 0.0, 0.4, 0.0,", &["object.pose"]);
     bad_file("task.toml", "joint", "scale = 0.0\njoint", &["object.scale", "above 0"]);
     let pose = "pose = [1.0, 0.0, 0.4, 1.0, 0.0, 0.0, 0.0]";
-    bad_file("task.toml", pose, "replaces = { body = \"oven*\", yaw = 0.0 }", &["unknown body \"oven*\"", "fridge"]);
-    bad_file("task.toml", pose, "replaces = { body = \"wall*\", yaw = 0.0 }", &["matches 4 bodies", "wall_x_min"]);
-    bad_file("task.toml", "file = \"bot.toml\"", "file = \"bot.toml\"\npose = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]", &["robot.pose", "fixed base"]);
+    bad_file(
+        "task.toml",
+        pose,
+        "replaces = { body = \"oven*\", yaw = 0.0 }",
+        &["unknown body \"oven*\"", "fridge"],
+    );
+    bad_file(
+        "task.toml",
+        pose,
+        "replaces = { body = \"wall*\", yaw = 0.0 }",
+        &["matches 4 bodies", "wall_x_min"],
+    );
+    bad_file(
+        "task.toml",
+        "file = \"bot.toml\"",
+        "file = \"bot.toml\"\npose = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]",
+        &["robot.pose", "fixed base"],
+    );
 }
 
 #[test]
@@ -318,7 +464,7 @@ fn glb_of(indices: [u16; 3], vertices: usize, cut: usize) -> Vec<u8> {
 {"bufferView":1,"componentType":5123,"count":3,"type":"SCALAR"}]}"#
         .replacen("\"count\":3", &format!("\"count\":{vertices}"), 1)
         .into_bytes();
-    while json.len() % 4 != 0 {
+    while !json.len().is_multiple_of(4) {
         json.push(b' ');
     }
     let mut bytes = b"glTF".to_vec();
@@ -353,7 +499,11 @@ fn gltf_files() {
 
 #[test]
 fn absurd_joint_origins() {
-    bad_urdf("xyz=\"0.21 -0.3 0\"", "xyz=\"21000 -300 0\"", &["link \"door\"", "away from the root", "1000 m"]);
+    bad_urdf(
+        "xyz=\"0.21 -0.3 0\"",
+        "xyz=\"21000 -300 0\"",
+        &["link \"door\"", "away from the root", "1000 m"],
+    );
 }
 
 #[test]
@@ -374,5 +524,9 @@ fn attached_grippers() {
     let palm = r#"<robot name="palm"><link name="palm"/></robot>"#;
     attach("hand", palm, &[]);
     attach("wrist", palm, &["unknown link \"wrist\"", "hand"]);
-    attach("hand", &palm.replace("link name=\"palm", "link name=\"hand"), &["\"hand\" is used twice"]);
+    attach(
+        "hand",
+        &palm.replace("link name=\"palm", "link name=\"hand"),
+        &["\"hand\" is used twice"],
+    );
 }

@@ -12,7 +12,10 @@ fn assert_same(a: &KinematicTree, b: &KinematicTree) {
     assert_eq!((a.links().len(), a.joints().len()), (b.links().len(), b.joints().len()));
     for (a, b) in a.joints().iter().zip(b.joints()) {
         assert_eq!((&a.name, a.kind, a.parent, a.child), (&b.name, b.kind, b.parent, b.child));
-        assert!(a.kind == JointKind::Fixed || (a.axis.into_inner() - b.axis.into_inner()).norm() < 1e-12);
+        assert!(
+            a.kind == JointKind::Fixed
+                || (a.axis.into_inner() - b.axis.into_inner()).norm() < 1e-12
+        );
         assert_eq!(a.limits, b.limits);
         assert_eq!((a.velocity_limit, a.effort_limit), (b.velocity_limit, b.effort_limit));
         assert_eq!((a.damping, a.friction, &a.mimic), (b.damping, b.friction, &b.mimic));
@@ -26,7 +29,10 @@ fn assert_same(a: &KinematicTree, b: &KinematicTree) {
             for (a, b) in a.iter().zip(b) {
                 assert_eq!(a.name, b.name);
                 assert_near(&a.link_from_part, &b.link_from_part);
-                assert_eq!(format!("{:?}", a.triangulate().len()), format!("{:?}", b.triangulate().len()));
+                assert_eq!(
+                    format!("{:?}", a.triangulate().len()),
+                    format!("{:?}", b.triangulate().len())
+                );
             }
         }
     }
@@ -54,14 +60,18 @@ fn any_shape() -> impl Strategy<Value = Shape> {
     let length = 0.001..10.0f64;
     prop_oneof![
         prop::array::uniform3(length.clone()).prop_map(|size| Shape::Box { size }),
-        (length.clone(), length.clone()).prop_map(|(radius, length)| Shape::Cylinder { radius, length }),
+        (length.clone(), length.clone())
+            .prop_map(|(radius, length)| Shape::Cylinder { radius, length }),
         length.prop_map(|radius| Shape::Sphere { radius }),
     ]
 }
 
 fn any_kind() -> impl Strategy<Value = JointKind> {
     prop::sample::select(vec![
-        JointKind::Fixed, JointKind::Revolute, JointKind::Continuous, JointKind::Prismatic,
+        JointKind::Fixed,
+        JointKind::Revolute,
+        JointKind::Continuous,
+        JointKind::Prismatic,
     ])
 }
 
@@ -151,6 +161,7 @@ fn mimics_and_inertials_survive() {
     assert_eq!(mimic.joint, tree.joint_index("grip").unwrap());
     let again = reread(&tree);
     assert_same(&tree, &again);
-    let inertial = |tree: &KinematicTree| tree.links()[tree.link_index("other").unwrap()].inertial.clone();
+    let inertial =
+        |tree: &KinematicTree| tree.links()[tree.link_index("other").unwrap()].inertial.clone();
     assert_eq!(inertial(&tree), inertial(&again));
 }

@@ -123,7 +123,8 @@ mod tests {
 
     #[test]
     fn text_allows_comments_and_commas() {
-        let rows = text_rows(b"# x y z w x y z\n1, 2, 3, 1, 0, 0, 0\n\n4 5 6 1 0 0 0 # b\n").unwrap();
+        let rows =
+            text_rows(b"# x y z w x y z\n1, 2, 3, 1, 0, 0, 0\n\n4 5 6 1 0 0 0 # b\n").unwrap();
         assert_eq!(rows.len(), 2);
         assert_eq!(rows[1][0], 4.0);
     }

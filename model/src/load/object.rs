@@ -104,17 +104,24 @@ fn in_place_of(
     let place = place(task_path, "object.replaces");
     let [body] = found[..] else {
         let names: Vec<&str> = found.iter().map(|b| b.name.as_str()).collect();
-        let message =
-            format!("\"{}\" matches {} bodies, expected one: {}", replaces.body, names.len(), names.join(", "));
+        let message = format!(
+            "\"{}\" matches {} bodies, expected one: {}",
+            replaces.body,
+            names.len(),
+            names.join(", ")
+        );
         return Err(ModelError::bad_value(place, message));
     };
     if !replaces.yaw.is_finite() {
         let message = format!("yaw: expected a finite number, got {}", replaces.yaw);
         return Err(ModelError::bad_value(place, message));
     }
-    let world_from_turned =
-        Pose::from_parts(Vector3::zeros().into(), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), replaces.yaw));
-    let no_geometry = |what: &str| ModelError::bad_value(place.clone(), format!("{what} has no geometry"));
+    let world_from_turned = Pose::from_parts(
+        Vector3::zeros().into(),
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), replaces.yaw),
+    );
+    let no_geometry =
+        |what: &str| ModelError::bad_value(place.clone(), format!("{what} has no geometry"));
     let (body_low, body_high) =
         bounds(body, &world_from_turned.inverse()).ok_or_else(|| no_geometry(&body.name))?;
     let name = body.name.clone();
@@ -251,7 +258,11 @@ fn handle(
     if !tree.chain_to(link).contains(&active_joint) {
         let below = (0..tree.links().len()).filter(|&l| tree.chain_to(l).contains(&active_joint));
         return Err(ModelError::unknown(
-            format!("{}: object.handle.link must be moved by joint \"{}\"", task_path.display(), section.joint),
+            format!(
+                "{}: object.handle.link must be moved by joint \"{}\"",
+                task_path.display(),
+                section.joint
+            ),
             "link",
             &handle.link,
             below.map(|l| tree.links()[l].name.clone()),
@@ -261,7 +272,12 @@ fn handle(
     for pattern in &handle.parts {
         if !parts().any(|part| matches_pattern(pattern, &part.name)) {
             let names = parts().map(|part| part.name.clone());
-            return Err(ModelError::unknown(place(task_path, "object.handle.parts"), "part", pattern, names));
+            return Err(ModelError::unknown(
+                place(task_path, "object.handle.parts"),
+                "part",
+                pattern,
+                names,
+            ));
         }
     }
     if let Some(region) = handle.region
@@ -269,7 +285,9 @@ fn handle(
     {
         return Err(ModelError::bad_value(
             place(task_path, "object.handle.region"),
-            format!("expected [xmin ymin zmin xmax ymax zmax] with each min below its max, got {region:?}"),
+            format!(
+                "expected [xmin ymin zmin xmax ymax zmax] with each min below its max, got {region:?}"
+            ),
         ));
     }
     Ok((link, if handle.parts.is_empty() { all() } else { handle.parts.clone() }))

@@ -9,7 +9,9 @@ use super::{AssetSearch, check_position, joint_index, link_index, parse_toml, pl
 use crate::mesh_io::MeshCache;
 use crate::pose::from_xyz_wxyz;
 use crate::robot::{AttachSection, BaseKind};
-use crate::{Joint, JointKind, KinematicTree, Link, ModelError, Pose, Robot, RobotFile, hash, urdf};
+use crate::{
+    Joint, JointKind, KinematicTree, Link, ModelError, Pose, Robot, RobotFile, hash, urdf,
+};
 
 /// Names of the virtual base joints that are added where a robot has none.
 const BASE_JOINTS: [&str; 3] = ["base_x", "base_y", "base_theta"];
@@ -109,8 +111,10 @@ fn attached(
     let place = place(path, "gripper.attach");
     let link = link_index(&place, &tree, &section.link)?;
     let link_from_gripper = from_xyz_wxyz(section.link_from_gripper).ok_or_else(|| {
-        let message =
-            format!("link_from_gripper: expected [x y z qw qx qy qz], got {:?}", section.link_from_gripper);
+        let message = format!(
+            "link_from_gripper: expected [x y z qw qx qy qz], got {:?}",
+            section.link_from_gripper
+        );
         ModelError::bad_value(place.clone(), message)
     })?;
     tree.attach(link, link_from_gripper, gripper).map_err(|e| match e {
@@ -148,20 +152,21 @@ fn with_virtual_base(
         (JointKind::Prismatic, Vector3::y_axis(), BASE_REACH_M, first + 1, first + 2),
         (JointKind::Revolute, Vector3::z_axis(), turn, first + 2, root),
     ];
-    let added = steps.into_iter().enumerate().map(|(i, (kind, axis, reach, parent, child))| Joint {
-        name: BASE_JOINTS[i].to_owned(),
-        kind,
-        parent,
-        child,
-        parent_from_joint: Pose::identity(),
-        axis,
-        limits: [-reach, reach],
-        velocity_limit: Some(file.base.velocity_limits[i]),
-        effort_limit: None,
-        damping: 0.0,
-        friction: 0.0,
-        mimic: None,
-    });
+    let added =
+        steps.into_iter().enumerate().map(|(i, (kind, axis, reach, parent, child))| Joint {
+            name: BASE_JOINTS[i].to_owned(),
+            kind,
+            parent,
+            child,
+            parent_from_joint: Pose::identity(),
+            axis,
+            limits: [-reach, reach],
+            velocity_limit: Some(file.base.velocity_limits[i]),
+            effort_limit: None,
+            damping: 0.0,
+            friction: 0.0,
+            mimic: None,
+        });
     joints.extend(added);
     KinematicTree::new(tree.name, links, joints)
 }
@@ -245,7 +250,9 @@ fn arm_joints(
         if last.is_some_and(|last| position <= last) {
             return Err(ModelError::bad_value(
                 place,
-                format!("joints must be listed once, from base to tool; \"{name}\" is out of order"),
+                format!(
+                    "joints must be listed once, from base to tool; \"{name}\" is out of order"
+                ),
             ));
         }
         last = Some(position);
@@ -259,7 +266,10 @@ fn check_actuated(place: &str, joint: &Joint) -> Result<(), ModelError> {
         return Ok(());
     }
     let why = if joint.mimic.is_some() { "follows another joint" } else { "is fixed" };
-    Err(ModelError::bad_value(place, format!("joint \"{}\" {why} and cannot be planned", joint.name)))
+    Err(ModelError::bad_value(
+        place,
+        format!("joint \"{}\" {why} and cannot be planned", joint.name),
+    ))
 }
 
 fn check_base_below_arm(
@@ -271,7 +281,8 @@ fn check_base_below_arm(
 ) -> Result<(), ModelError> {
     let chain = tree.chain_to(tool_link);
     let order = |joint: &usize| chain.iter().position(|j| j == joint);
-    let positions: Vec<Option<usize>> = base_joints.iter().chain(&arm_joints[..1]).map(order).collect();
+    let positions: Vec<Option<usize>> =
+        base_joints.iter().chain(&arm_joints[..1]).map(order).collect();
     if positions.iter().all(Option::is_some) && positions.is_sorted() {
         return Ok(());
     }
@@ -292,7 +303,11 @@ fn gripper_joints(
         if values.len() != gripper.joints.len() {
             return Err(ModelError::bad_value(
                 format!("{}: gripper.{what}", path.display()),
-                format!("expected {} values, one per joint, got {}", gripper.joints.len(), values.len()),
+                format!(
+                    "expected {} values, one per joint, got {}",
+                    gripper.joints.len(),
+                    values.len()
+                ),
             ));
         }
     }
@@ -317,7 +332,10 @@ fn check_planned_once(
         None => Ok(()),
         Some(&joint) => Err(ModelError::invalid(
             path,
-            format!("joint \"{}\" is listed twice in base, arm and gripper", tree.joints()[joint].name),
+            format!(
+                "joint \"{}\" is listed twice in base, arm and gripper",
+                tree.joints()[joint].name
+            ),
         )),
     }
 }

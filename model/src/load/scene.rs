@@ -163,8 +163,7 @@ fn visual_body(
     shape: Shape,
     material: Option<Material>,
 ) -> SceneBody {
-    let part =
-        Part { name: name.clone(), link_from_part: Pose::identity(), shape, material };
+    let part = Part { name: name.clone(), link_from_part: Pose::identity(), shape, material };
     SceneBody {
         class: class_of(&name),
         name,
@@ -247,10 +246,7 @@ fn shift(bodies: &mut [SceneBody], by: Vector3<f64>) {
 
 /// Corners of the smallest box around a body's visuals (or collisions, where it has no visuals), with
 /// edges along the axes of `frame`.
-pub fn bounds(
-    body: &SceneBody,
-    frame_from_world: &Pose,
-) -> Option<(Vector3<f64>, Vector3<f64>)> {
+pub fn bounds(body: &SceneBody, frame_from_world: &Pose) -> Option<(Vector3<f64>, Vector3<f64>)> {
     let parts = if body.visuals.is_empty() { &body.collisions } else { &body.visuals };
     parts_bounds(parts.iter().map(|part| (frame_from_world * body.world_from_body, part)))
 }
@@ -292,8 +288,14 @@ fn box_body(task_path: &Path, section: &BoxSection) -> Result<SceneBody, ModelEr
     Ok(colored_box(&section.name, section.size, world_from_body, [r, g, b]))
 }
 
-fn colored_box(name: &str, size: [f64; 3], world_from_body: Pose, [r, g, b]: [f32; 3]) -> SceneBody {
-    let material = Material { name: name.to_owned(), base_color: [r, g, b, 1.0], ..Material::default() };
+fn colored_box(
+    name: &str,
+    size: [f64; 3],
+    world_from_body: Pose,
+    [r, g, b]: [f32; 3],
+) -> SceneBody {
+    let material =
+        Material { name: name.to_owned(), base_color: [r, g, b, 1.0], ..Material::default() };
     visual_body(name.to_owned(), world_from_body, Shape::Box { size }, Some(material))
 }
 
@@ -314,7 +316,8 @@ fn room_bodies(task_path: &Path, [x, y, z]: [f64; 3]) -> Result<Vec<SceneBody>, 
     }
     let t = ROOM_THICKNESS_M;
     let (floor_color, wall_color) = ([0.42, 0.36, 0.30], [0.75, 0.74, 0.70]);
-    let wall = |name, size, x, y| colored_box(name, size, Pose::translation(x, y, z / 2.0), wall_color);
+    let wall =
+        |name, size, x, y| colored_box(name, size, Pose::translation(x, y, z / 2.0), wall_color);
     let (along_x, along_y) = ([x + 2.0 * t, t, z], [t, y, z]);
     Ok(vec![
         colored_box("floor", [x, y, t], Pose::translation(0.0, 0.0, -t / 2.0), floor_color),

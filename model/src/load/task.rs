@@ -17,8 +17,7 @@ pub fn load(path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
 /// Loads what the text of a task file names, as if it stood at `path`.
 pub fn from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
     let file: TaskFile = parse_toml_text(path, &text)?;
-    let mut content_hashes =
-        BTreeMap::from([("task".to_owned(), hash::of_bytes(text.as_bytes()))]);
+    let mut content_hashes = BTreeMap::from([("task".to_owned(), hash::of_bytes(text.as_bytes()))]);
 
     let mut loaded_robot = robot::load(&search.find(&file.robot.file, path)?, search)?;
     place_robot(path, &file, &mut loaded_robot.robot)?;

@@ -21,11 +21,7 @@ impl MeshCache {
     ///
     /// # Errors
     /// As [`super::load`].
-    pub fn get(
-        &mut self,
-        path: &Path,
-        scale: [f64; 3],
-    ) -> Result<Arc<Vec<TriMesh>>, ModelError> {
+    pub fn get(&mut self, path: &Path, scale: [f64; 3]) -> Result<Arc<Vec<TriMesh>>, ModelError> {
         let meshes = match self.files.get(path) {
             Some(meshes) => meshes.clone(),
             None => {

@@ -8,10 +8,10 @@ use std::sync::Arc;
 use nalgebra::{Matrix4, Unit, Vector3};
 use roxmltree::{Document, Node};
 
+use super::MeshFile;
 use super::assemble::{Assembler, Attributes, Corner};
 use super::texture::TextureCache;
 use super::transform::mapped;
-use super::MeshFile;
 use crate::{Material, ModelError, TriMesh};
 
 /// Nodes nested deeper than this are taken for a cycle of `<instance_node>`.
@@ -155,11 +155,8 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     fn primitive(&self, primitive: Node<'a, 'input>) -> Parsed<Option<TriMesh>> {
         let inputs = self.inputs(primitive)?;
-        let attributes = Attributes {
-            positions: &inputs.positions,
-            uvs: &inputs.uvs,
-            normals: &inputs.normals,
-        };
+        let attributes =
+            Attributes { positions: &inputs.positions, uvs: &inputs.uvs, normals: &inputs.normals };
         let mut assembler = Assembler::default();
         for polygon in polygons(primitive, inputs.stride)? {
             let corners: Vec<Corner> = polygon
@@ -286,9 +283,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         profile: Node<'a, 'input>,
         sampler: &str,
     ) -> Option<Arc<image::RgbaImage>> {
-        let parameter = |sid: &str| {
-            children(profile, "newparam").find(|p| p.attribute("sid") == Some(sid))
-        };
+        let parameter =
+            |sid: &str| children(profile, "newparam").find(|p| p.attribute("sid") == Some(sid));
         let text = |node: Node<'a, 'input>| node.text().map(|t| t.trim().to_owned());
         let sampler_source = parameter(sampler)
             .and_then(|p| child(p, "sampler2D"))
@@ -362,13 +358,13 @@ fn polygons(primitive: Node, stride: usize) -> Parsed<Vec<Vec<usize>>> {
     let with_holes = children(primitive, "ph").filter_map(|ph| child(ph, "p"));
     for p in direct.chain(with_holes) {
         let indices: Vec<usize> = numbers(p)?;
-        if indices.len() % stride != 0 {
+        if !indices.len().is_multiple_of(stride) {
             return fault(p, format!("expected groups of {stride} indices, got {}", indices.len()));
         }
         let corner = |i: usize| &indices[i * stride..(i + 1) * stride];
         let count = indices.len() / stride;
         match kind {
-            "triangles" if count % 3 != 0 => {
+            "triangles" if !count.is_multiple_of(3) => {
                 return fault(p, format!("expected a multiple of 3 corners, got {count}"));
             }
             "triangles" => polygons.extend(indices.chunks_exact(3 * stride).map(<[usize]>::to_vec)),
@@ -376,9 +372,9 @@ fn polygons(primitive: Node, stride: usize) -> Parsed<Vec<Vec<usize>>> {
                 let [a, b] = if i % 2 == 0 { [i - 2, i - 1] } else { [i - 1, i - 2] };
                 [corner(a), corner(b), corner(i)].concat()
             })),
-            "trifans" => polygons.extend(
-                (2..count).map(|i| [corner(0), corner(i - 1), corner(i)].concat()),
-            ),
+            "trifans" => {
+                polygons.extend((2..count).map(|i| [corner(0), corner(i - 1), corner(i)].concat()))
+            }
             _ => polygons.push(indices),
         }
     }

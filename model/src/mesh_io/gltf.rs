@@ -54,7 +54,8 @@ pub fn load_scene(path: &Path) -> Result<GltfScene, ModelError> {
     for accessor in document.accessors() {
         check_accessor(&accessor, &buffers).map_err(invalid)?;
     }
-    let mut reader = Reader { folder, buffers, materials: HashMap::new(), nodes: vec![], notes: vec![] };
+    let mut reader =
+        Reader { folder, buffers, materials: HashMap::new(), nodes: vec![], notes: vec![] };
     let scene = document
         .default_scene()
         .or_else(|| document.scenes().next())
@@ -101,11 +102,8 @@ impl Reader<'_> {
             return Ok(None);
         }
         let material = self.material(&primitive.material());
-        let uv_set = primitive
-            .material()
-            .pbr_metallic_roughness()
-            .base_color_texture()
-            .map_or(0, |info| {
+        let uv_set =
+            primitive.material().pbr_metallic_roughness().base_color_texture().map_or(0, |info| {
                 info.texture_transform().and_then(|t| t.tex_coord()).unwrap_or(info.tex_coord())
             });
         let reader = primitive.reader(|buffer| self.buffers.get(buffer.index()).map(Vec::as_slice));
@@ -142,9 +140,12 @@ impl Reader<'_> {
         let pbr = material.pbr_metallic_roughness();
         let texture = pbr.base_color_texture().and_then(|info| {
             let image = info.texture().source();
-            self.image(image.source()).map(Arc::new).map_err(|reason| {
-                self.notes.push(format!("image {}: {reason}: left out", image.index()));
-            }).ok()
+            self.image(image.source())
+                .map(Arc::new)
+                .map_err(|reason| {
+                    self.notes.push(format!("image {}: {reason}: left out", image.index()));
+                })
+                .ok()
         });
         // A primitive without a material gets the same grey as in every other format: glTF's own
         // default (white metal) is meant for viewers with an environment map.
@@ -217,9 +218,9 @@ fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
                 [indices[a], indices[b], indices[i]]
             })
             .collect(),
-        Mode::TriangleFan => (2..indices.len())
-            .map(|i| [indices[0], indices[i - 1], indices[i]])
-            .collect(),
+        Mode::TriangleFan => {
+            (2..indices.len()).map(|i| [indices[0], indices[i - 1], indices[i]]).collect()
+        }
         _ => indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
     }
 }
@@ -295,8 +296,20 @@ pub(super) fn percent_decoded(uri: &str) -> String {
 fn check_accessor(accessor: &gltf::Accessor, buffers: &[Vec<u8>]) -> Result<(), String> {
     if let Some(sparse) = accessor.sparse() {
         let index_size = sparse.indices().index_type().size();
-        check_span(&sparse.indices().view(), sparse.indices().offset(), sparse.count(), index_size, buffers)?;
-        check_span(&sparse.values().view(), sparse.values().offset(), sparse.count(), accessor.size(), buffers)?;
+        check_span(
+            &sparse.indices().view(),
+            sparse.indices().offset(),
+            sparse.count(),
+            index_size,
+            buffers,
+        )?;
+        check_span(
+            &sparse.values().view(),
+            sparse.values().offset(),
+            sparse.count(),
+            accessor.size(),
+            buffers,
+        )?;
     }
     match accessor.view() {
         Some(view) => {

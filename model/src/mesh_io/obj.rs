@@ -4,9 +4,9 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 
+use super::MeshFile;
 use super::assemble::{Assembler, Attributes, Corner};
 use super::texture::TextureCache;
-use super::MeshFile;
 use crate::{Material, ModelError};
 
 /// Reads an OBJ file's content; its material libraries and textures are looked up beside it. One mesh
@@ -18,9 +18,9 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<MeshFile, ModelError> {
     for (index, line) in text.lines().enumerate() {
         let line = line.split('#').next().unwrap_or("").trim();
         let (keyword, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-        reader.line(keyword, rest.trim()).map_err(|reason| {
-            ModelError::invalid(path, format!("line {}: {reason}", index + 1))
-        })?;
+        reader
+            .line(keyword, rest.trim())
+            .map_err(|reason| ModelError::invalid(path, format!("line {}: {reason}", index + 1)))?;
     }
     Ok(reader.finish(path))
 }

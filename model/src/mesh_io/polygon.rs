@@ -62,8 +62,7 @@ fn is_ear(flat: &[[f64; 2]], left: &[usize], at: usize) -> bool {
     if cross(a, b, c) <= 0.0 {
         return false;
     }
-    let holds =
-        |p| cross(a, b, p) >= 0.0 && cross(b, c, p) >= 0.0 && cross(c, a, p) >= 0.0;
+    let holds = |p| cross(a, b, p) >= 0.0 && cross(b, c, p) >= 0.0 && cross(c, a, p) >= 0.0;
     let is_corner = |p: [f64; 2]| p == a || p == b || p == c;
     !left.iter().map(|&i| flat[i]).any(|p| !is_corner(p) && holds(p))
 }
@@ -83,9 +82,8 @@ mod tests {
         let outline = ell.map(|[x, y]| [x as f32, y as f32, 0.0]);
         assert_eq!(triangulate(&outline).len(), 4);
         assert!((area(&outline) - 3.0).abs() < 1e-9);
-        let fan: f64 = (1..5)
-            .map(|i| cross(ell[1], ell[(i + 1) % 6], ell[(i + 2) % 6]).abs() / 2.0)
-            .sum();
+        let fan: f64 =
+            (1..5).map(|i| cross(ell[1], ell[(i + 1) % 6], ell[(i + 2) % 6]).abs() / 2.0).sum();
         assert!((fan - 3.0).abs() > 0.1, "a fan would not have been right here");
     }
 
@@ -93,7 +91,8 @@ mod tests {
     fn winding_is_kept_in_every_plane() {
         for axis in 0..3 {
             let mut square = [[0.0f32; 3]; 4];
-            for (corner, (u, v)) in square.iter_mut().zip([(0., 0.), (1., 0.), (1., 1.), (0., 1.)]) {
+            for (corner, (u, v)) in square.iter_mut().zip([(0., 0.), (1., 0.), (1., 1.), (0., 1.)])
+            {
                 corner[axis] = u;
                 corner[(axis + 1) % 3] = v;
             }

@@ -51,9 +51,8 @@ fn binary_corners(path: &Path, bytes: &[u8]) -> Result<Vec<[f32; 3]>, ModelError
             ),
         ));
     }
-    let float = |at: usize| {
-        f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
-    };
+    let float =
+        |at: usize| f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
     let corner = |index: usize| {
         let at = HEADER_BYTES + FACET_BYTES * (index / 3) + 12 * (1 + index % 3);
         [float(at), float(at + 4), float(at + 8)]
@@ -86,7 +85,7 @@ fn text_corners(path: &Path, bytes: &[u8]) -> Result<Vec<[f32; 3]>, ModelError> 
             _ => {}
         }
     }
-    if corners.len() % 3 != 0 || !ended {
+    if !corners.len().is_multiple_of(3) || !ended {
         return Err(ModelError::invalid(
             path,
             format!("truncated STL: {} vertices, \"endsolid\" found: {ended}", corners.len()),

@@ -96,10 +96,8 @@ fn sphere_mesh(radius: f64) -> TriMesh {
             let normal = [sin * x, sin * y, cos];
             mesh.positions.push(normal.map(|n| (radius * n) as f32));
             mesh.normals.push(normal.map(|n| n as f32));
-            mesh.uvs.push([
-                slice as f32 / SPHERE_SLICES as f32,
-                stack as f32 / SPHERE_STACKS as f32,
-            ]);
+            mesh.uvs
+                .push([slice as f32 / SPHERE_SLICES as f32, stack as f32 / SPHERE_STACKS as f32]);
         }
     }
     let row = SPHERE_SLICES as u32 + 1;
@@ -135,14 +133,16 @@ mod tests {
             let [a, b, c] = [a, b, c].map(|p| nalgebra::Vector3::from(p.map(f64::from)));
             a.dot(&b.cross(&c)) / 6.0
         };
-        meshes
-            .iter()
-            .flat_map(|m| (0..m.triangles.len()).map(|t| tetrahedron(m.corners(t))))
-            .sum()
+        meshes.iter().flat_map(|m| (0..m.triangles.len()).map(|t| tetrahedron(m.corners(t)))).sum()
     }
 
     fn part(shape: Shape) -> Part {
-        Part { name: "p".into(), link_from_part: Pose::translation(1.0, 2.0, 3.0), shape, material: None }
+        Part {
+            name: "p".into(),
+            link_from_part: Pose::translation(1.0, 2.0, 3.0),
+            shape,
+            material: None,
+        }
     }
 
     #[test]
@@ -162,9 +162,13 @@ mod tests {
         let mesh = box_mesh([1.0, 2.0, 3.0]);
         let mirrored = super::super::scaled(&[mesh], [-1.0, 1.0, 1.0]);
         assert!((volume(&mirrored) - 6.0).abs() < 1e-5);
-        assert!(mirrored[0].normals.iter().zip(&mirrored[0].positions).all(|(n, p)| {
-            (0..3).map(|k| n[k] * p[k]).sum::<f32>() > 0.0
-        }));
+        assert!(
+            mirrored[0]
+                .normals
+                .iter()
+                .zip(&mirrored[0].positions)
+                .all(|(n, p)| { (0..3).map(|k| n[k] * p[k]).sum::<f32>() > 0.0 })
+        );
     }
 
     #[test]

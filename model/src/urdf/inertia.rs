@@ -142,12 +142,13 @@ mod tests {
 
     #[test]
     fn impossible_inertias_become_possible() {
-        let wrong = Inertial { inertia: [0.0, 0.0, 0.002, 0.0115, 0.0, 0.0085], ..point_mass(1.0, 0.0) };
+        let wrong =
+            Inertial { inertia: [0.0, 0.0, 0.002, 0.0115, 0.0, 0.0085], ..point_mass(1.0, 0.0) };
         let (repaired, changed) = repair(wrong);
         assert!(changed);
         let moments = SymmetricEigen::new(to_matrix(repaired.inertia)).eigenvalues;
         assert!(moments.min() > 0.0 && 2.0 * moments.max() <= moments.sum() * (1.0 + 1e-9));
-        assert!(repair(repaired).1 == false, "a repaired inertia needs no repair");
+        assert!(!repair(repaired).1, "a repaired inertia needs no repair");
         assert!(!repair(point_mass(1.0, 0.0)).1);
     }
 }

@@ -43,7 +43,8 @@ pub fn read(
         let link = context.attribute(reference, "link")?;
         link_names.iter().position(|l| l == link).ok_or_else(|| {
             let line = super::xml::line_of(reference);
-            let place = format!("{}: line {line}: {element} of joint \"{name}\"", context.path.display());
+            let place =
+                format!("{}: line {line}: {element} of joint \"{name}\"", context.path.display());
             ModelError::unknown(place, "link", link, link_names.iter().cloned())
         })
     };
@@ -54,10 +55,8 @@ pub fn read(
     let positive = |attribute: &str| -> Result<Option<f64>, ModelError> {
         let Some(limit) = limit else { return Ok(None) };
         match context.number(limit, attribute)? {
-            Some(value) if value < 0.0 => Err(context.error(
-                limit,
-                format!("{}: {attribute} limit {value} is negative", tag(node)),
-            )),
+            Some(value) if value < 0.0 => Err(context
+                .error(limit, format!("{}: {attribute} limit {value} is negative", tag(node)))),
             // Exporters write 0 where they know no limit.
             value => Ok(value.filter(|&v| v > 0.0)),
         }
@@ -164,10 +163,7 @@ fn limits(context: Context, node: Node, kind: JointKind) -> Result<[f64; 2], Mod
 }
 
 /// Joints with mimics as indices; a mimic of a mimic follows the first joint of the chain directly.
-pub fn resolve_mimics(
-    context: Context,
-    named: Vec<NamedJoint>,
-) -> Result<Vec<Joint>, ModelError> {
+pub fn resolve_mimics(context: Context, named: Vec<NamedJoint>) -> Result<Vec<Joint>, ModelError> {
     let index: HashMap<&str, usize> =
         named.iter().enumerate().map(|(i, j)| (j.joint.name.as_str(), i)).collect();
     let follow = |start: usize| -> Result<Option<Mimic>, ModelError> {
@@ -182,10 +178,18 @@ pub fn resolve_mimics(
             multiplier *= mimic.multiplier;
             at = *index.get(mimic.joint.as_str()).ok_or_else(|| {
                 let NamedJoint { joint, line, .. } = &named[at];
-                let place =
-                    format!("{}: line {line}: mimic of joint \"{}\"", context.path.display(), joint.name);
+                let place = format!(
+                    "{}: line {line}: mimic of joint \"{}\"",
+                    context.path.display(),
+                    joint.name
+                );
                 let movable = named.iter().filter(|j| j.joint.kind != JointKind::Fixed);
-                ModelError::unknown(place, "joint", &mimic.joint, movable.map(|j| j.joint.name.clone()))
+                ModelError::unknown(
+                    place,
+                    "joint",
+                    &mimic.joint,
+                    movable.map(|j| j.joint.name.clone()),
+                )
             })?;
         }
         let NamedJoint { joint, line, .. } = &named[start];
@@ -195,9 +199,5 @@ pub fn resolve_mimics(
         ))
     };
     let mimics: Vec<Option<Mimic>> = (0..named.len()).map(follow).collect::<Result<_, _>>()?;
-    Ok(named
-        .into_iter()
-        .zip(mimics)
-        .map(|(named, mimic)| Joint { mimic, ..named.joint })
-        .collect())
+    Ok(named.into_iter().zip(mimics).map(|(named, mimic)| Joint { mimic, ..named.joint }).collect())
 }

@@ -100,18 +100,26 @@ impl LinkReader<'_> {
             if value > 0.0 {
                 return Ok(value);
             }
-            Err(context.error(node, format!("{} {name}: expected a length above 0, got {value}", tag(node))))
+            Err(context.error(
+                node,
+                format!("{} {name}: expected a length above 0, got {value}", tag(node)),
+            ))
         };
         match node.tag_name().name() {
             "box" => {
                 context.attribute(node, "size")?;
                 let size: [f64; 3] = context.numbers(node, "size")?.unwrap_or_default();
                 if size.iter().any(|&s| s <= 0.0) {
-                    return Err(context.error(node, format!("<box size>: expected lengths above 0, got {size:?}")));
+                    return Err(context.error(
+                        node,
+                        format!("<box size>: expected lengths above 0, got {size:?}"),
+                    ));
                 }
                 Ok(Shape::Box { size })
             }
-            "cylinder" => Ok(Shape::Cylinder { radius: positive("radius")?, length: positive("length")? }),
+            "cylinder" => {
+                Ok(Shape::Cylinder { radius: positive("radius")?, length: positive("length")? })
+            }
             "sphere" => Ok(Shape::Sphere { radius: positive("radius")? }),
             "mesh" => self.mesh(link, node),
             other => Err(context.error(
@@ -127,11 +135,15 @@ impl LinkReader<'_> {
             let tried: Vec<String> = tried.iter().map(|p| p.display().to_string()).collect();
             self.context.error(
                 node,
-                format!("link \"{link}\": mesh \"{source}\" not found; tried: {}", tried.join(", ")),
+                format!(
+                    "link \"{link}\": mesh \"{source}\" not found; tried: {}",
+                    tried.join(", ")
+                ),
             )
         })?;
         let scale = self.scale(link, node)?;
-        let meshes = self.cache.get(&path, scale).map_err(|error| self.in_link(link, node, error))?;
+        let meshes =
+            self.cache.get(&path, scale).map_err(|error| self.in_link(link, node, error))?;
         self.mesh_files.insert(source.clone(), path);
         Ok(Shape::Mesh { source, meshes })
     }

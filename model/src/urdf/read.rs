@@ -53,7 +53,10 @@ pub fn load(
     if robot.tag_name().name() != "robot" {
         return Err(context.error(
             robot,
-            format!("expected a URDF with a <robot> root element, got <{}>", robot.tag_name().name()),
+            format!(
+                "expected a URDF with a <robot> root element, got <{}>",
+                robot.tag_name().name()
+            ),
         ));
     }
     let cache_notes_before = cache.notes.len();
@@ -66,8 +69,7 @@ pub fn load(
         notes: Vec::new(),
     };
     reader.global_materials(robot)?;
-    let links =
-        children(robot, "link").map(|n| reader.link(n)).collect::<Result<Vec<_>, _>>()?;
+    let links = children(robot, "link").map(|n| reader.link(n)).collect::<Result<Vec<_>, _>>()?;
     let LinkReader { mut notes, mesh_files, cache, .. } = reader;
     let link_names: Vec<String> = links.iter().map(|l| l.name.clone()).collect();
     let joints = children(robot, "joint")

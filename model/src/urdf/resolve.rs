@@ -54,10 +54,11 @@ fn package_candidates(
     let named_by_manifest = roots.iter().filter(|f| package_name(f).as_deref() == Some(package));
     let named_by_folder = roots.iter().filter(|f| f.file_name().is_some_and(|n| n == package));
     let inside = roots.iter().map(|folder| folder.join(package));
-    let inside_by_manifest =
-        search.folders.iter().flat_map(|f| subfolders(f)).filter(|f| {
-            package_name(f).as_deref() == Some(package)
-        });
+    let inside_by_manifest = search
+        .folders
+        .iter()
+        .flat_map(|f| subfolders(f))
+        .filter(|f| package_name(f).as_deref() == Some(package));
     let stripped = search.folders.iter().chain(above.first());
     let roots_of_package = named_by_manifest
         .cloned()

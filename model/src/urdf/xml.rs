@@ -22,12 +22,17 @@ impl Context<'_> {
 
     /// A required attribute.
     pub fn attribute<'a>(&self, node: Node<'a, '_>, name: &str) -> Result<&'a str, ModelError> {
-        node.attribute(name)
-            .ok_or_else(|| self.error(node, format!("{} lacks the attribute \"{name}\"", tag(node))))
+        node.attribute(name).ok_or_else(|| {
+            self.error(node, format!("{} lacks the attribute \"{name}\"", tag(node)))
+        })
     }
 
     /// A required child element.
-    pub fn child<'a, 'i>(&self, node: Node<'a, 'i>, name: &str) -> Result<Node<'a, 'i>, ModelError> {
+    pub fn child<'a, 'i>(
+        &self,
+        node: Node<'a, 'i>,
+        name: &str,
+    ) -> Result<Node<'a, 'i>, ModelError> {
         child(node, name).ok_or_else(|| self.error(node, format!("{} lacks <{name}>", tag(node))))
     }
 

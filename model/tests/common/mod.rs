@@ -1,5 +1,8 @@
 //! A small robot, object and task in a temporary folder, to load whole or broken.
 
+// Every test binary uses a part of this.
+#![allow(dead_code)]
+
 use std::path::PathBuf;
 
 use akrobat_model::load::{self, AssetSearch};
