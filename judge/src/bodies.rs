@@ -61,8 +61,15 @@ impl ObstacleBuilder {
         self.triangle_owners.resize(self.triangles.len(), owner);
     }
 
-    fn solids(&mut self, owner: u32, triangles: &Triangles) {
-        self.solids.extend(triangles.convex_components().unwrap_or_default());
+    /// Adds the solids that the triangles bound; says so where they are not convex.
+    fn solids(&mut self, owner: u32, triangles: &Triangles, notes: &mut Vec<String>) {
+        match triangles.convex_components() {
+            Some(solids) => self.solids.extend(solids),
+            None => notes.push(format!(
+                "{}: not made of convex solids; the robot is judged against its surface only",
+                self.owners[owner as usize].label
+            )),
+        }
         self.solid_owners.resize(self.solids.len(), owner);
     }
 
@@ -88,7 +95,7 @@ impl Obstacle {
     ///
     /// # Errors
     /// [`JudgeError::Shape`].
-    pub fn of_link(link: &Link) -> Result<Self, JudgeError> {
+    pub fn of_link(link: &Link, notes: &mut Vec<String>) -> Result<Self, JudgeError> {
         let mut builder = ObstacleBuilder::default();
         let described = |part: &Part| Owner {
             label: format!("object link \"{}\" (part \"{}\")", link.name, part.name),
@@ -100,14 +107,14 @@ impl Obstacle {
             let owner = builder.owner(described(part));
             builder.triangles(owner, &triangles);
             if link.collisions.is_empty() {
-                builder.solids(owner, &triangles);
+                builder.solids(owner, &triangles, notes);
             }
         }
         for part in &link.collisions {
             let triangles = finite_triangles(&link.name, part)?;
             let owner = builder.owner(described(part));
             builder.triangles(owner, &triangles);
-            builder.solids(owner, &triangles);
+            builder.solids(owner, &triangles, notes);
         }
         Ok(builder.build())
     }
@@ -132,7 +139,8 @@ impl Obstacle {
                     *vertex = world_from_body.point(*vertex);
                 }
                 builder.triangles(owner, &triangles);
-                builder.solids(owner, &triangles);
+                // Furniture is hardly ever convex: that is no news.
+                builder.solids(owner, &triangles, &mut Vec::new());
             }
         }
         Ok(builder.build())

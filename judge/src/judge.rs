@@ -272,7 +272,7 @@ fn geometry(
     }
     let mut obstacles = vec![Obstacle::of_scene(&task.scene)?];
     for link in object.links() {
-        obstacles.push(Obstacle::of_link(link)?);
+        obstacles.push(Obstacle::of_link(link, notes)?);
     }
     note_floors(&obstacles[0], notes);
     let moving_links = object::moving_links(&task.object);

@@ -1,5 +1,7 @@
 //! Broken trajectories, each of which must be refused for the right reason.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
 mod common;
 
 use akrobat_judge::{Judge, JudgeConfig, JudgeError, RobotSphere};
