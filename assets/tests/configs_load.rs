@@ -1,5 +1,7 @@
 //! The task and robot files in `configs/` load, and ask for what is possible.
 
+#![allow(clippy::unwrap_used, reason = "a test that panics is a test that fails")]
+
 use std::path::{Path, PathBuf};
 
 use akrobat_model::load::{self, AssetSearch};

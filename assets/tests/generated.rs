@@ -1,5 +1,7 @@
 //! What the generators write: closed meshes, URDFs that load, doors that swing freely.
 
+#![allow(clippy::unwrap_used, reason = "a test that panics is a test that fails")]
+
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
