@@ -1,5 +1,7 @@
 //! Bad input is refused with a message that names the file and what would have been valid.
 
+#![allow(clippy::unwrap_used)] // A test that cannot go on has failed.
+
 mod common;
 
 use akrobat_model::{ModelError, mesh_io};

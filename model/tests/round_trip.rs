@@ -1,5 +1,7 @@
 //! A tree written as URDF and read again is the same tree.
 
+#![allow(clippy::unwrap_used)] // A test that cannot go on has failed.
+
 mod common;
 
 use akrobat_model::load::AssetSearch;

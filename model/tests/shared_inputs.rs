@@ -1,5 +1,7 @@
 //! Every shared real input loads, with plausible content.
 
+#![allow(clippy::unwrap_used)] // A test that cannot go on has failed.
+
 use std::path::{Path, PathBuf};
 
 use akrobat_model::load::AssetSearch;
