@@ -22,9 +22,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .map(|s| RobotSphere { link: s.link, center: s.center, radius: s.radius })
         .collect();
     for fit in &preparation.spheres.fits {
-        println!("{:24} {:3} spheres, coverage {:.3}, protrusion {:.1} mm", fit.link, fit.count, fit.coverage, 1e3 * fit.protrusion_m);
+        println!(
+            "{:24} {:3} spheres, coverage {:.3}, protrusion {:.1} mm",
+            fit.link,
+            fit.count,
+            fit.coverage,
+            1e3 * fit.protrusion_m
+        );
     }
-    println!("{} self pairs; prepare {:.2} s", preparation.self_pairs.len(), started.elapsed().as_secs_f64());
+    println!(
+        "{} self pairs; prepare {:.2} s",
+        preparation.self_pairs.len(),
+        started.elapsed().as_secs_f64()
+    );
     let judge = Judge::new(&task, &spheres, &preparation.exceptions, JudgeConfig::default())?;
     println!("judge ready {:.2} s", started.elapsed().as_secs_f64());
     let judging = std::sync::atomic::AtomicU64::new(0);
@@ -44,10 +54,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for note in outcome.notes.iter().take(25) {
         println!("  {note}");
     }
-    let starts: Vec<Vec<f64>> = outcome.set.trajectories.iter().map(|t| t.waypoints_robot.row_f64(0)).collect();
+    let starts: Vec<Vec<f64>> =
+        outcome.set.trajectories.iter().map(|t| t.waypoints_robot.row_f64(0)).collect();
     let mut distinct: Vec<&Vec<f64>> = Vec::new();
     for s in &starts {
-        let same = |o: &&Vec<f64>| (s[0] - o[0]).hypot(s[1] - o[1]) <= 0.1 && s[2..].iter().zip(&o[2..]).all(|(a, b)| (a - b).abs() <= 0.2);
+        let same = |o: &&Vec<f64>| {
+            (s[0] - o[0]).hypot(s[1] - o[1]) <= 0.1
+                && s[2..].iter().zip(&o[2..]).all(|(a, b)| (a - b).abs() <= 0.2)
+        };
         if !distinct.iter().any(same) {
             distinct.push(s);
         }
@@ -55,7 +69,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut grasps: Vec<u32> = outcome.set.trajectories.iter().map(|t| t.grasp.id).collect();
     grasps.sort_unstable();
     grasps.dedup();
-    println!("{} accepted, {} distinct starts, {} grasps, {:.1} s in all", starts.len(), distinct.len(), grasps.len(), started.elapsed().as_secs_f64());
+    println!(
+        "{} accepted, {} distinct starts, {} grasps, {:.1} s in all",
+        starts.len(),
+        distinct.len(),
+        grasps.len(),
+        started.elapsed().as_secs_f64()
+    );
     if let Some(t) = outcome.set.trajectories.first() {
         println!("{:?}", t.verdict);
         println!("duration {:.2} s, interval {:.4} s", t.dense.duration_s(), t.waypoint_interval_s);

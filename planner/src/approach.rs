@@ -99,7 +99,8 @@ impl ApproachPlanner<'_> {
                 free.push((duration / count as f64 * 1.02, x));
             }
         }
-        let (samples, dt) = timed_spline(&reach, &limits, STEP_S);
+        let (mut samples, dt) = timed_spline(&reach, &limits, STEP_S);
+        samples.iter_mut().for_each(|x| self.kinematics.clamp(x));
         Ok(Approach { home, free, reach: samples.into_iter().map(|x| (dt, x)).collect() })
     }
 

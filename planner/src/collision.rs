@@ -164,6 +164,8 @@ pub enum MovingCheck {
 pub struct Penalty {
     /// Sum of squared hinges.
     pub cost: f64,
+    /// Largest hinge.
+    pub largest: f64,
     /// Gradient / 2.
     pub gradient: SVector<f64, MAX_VARIABLES>,
     /// Hessian / 2.
@@ -173,12 +175,13 @@ pub struct Penalty {
 impl Penalty {
     /// Zero.
     pub fn zero() -> Self {
-        Self { cost: 0.0, gradient: SVector::zeros(), hessian: SMatrix::zeros() }
+        Self { cost: 0.0, largest: 0.0, gradient: SVector::zeros(), hessian: SMatrix::zeros() }
     }
 
     /// Adds `hinge^2` where the residual's derivative is `row`.
     pub fn add(&mut self, hinge: f64, row: &SVector<f64, MAX_VARIABLES>) {
         self.cost += hinge * hinge;
+        self.largest = self.largest.max(hinge);
         self.gradient += row * hinge;
         self.hessian.ger(1.0, row, row, 1.0);
     }

@@ -44,9 +44,9 @@ struct GripperShape {
     open_spheres: Vec<(Vector3<f64>, f64)>,
 }
 
-/// Grasps of a task: from its file, else sampled. Both are checked against the gripper's shape. Returns
-/// the grasps and the number of candidates that were looked at.
-pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64) -> (Vec<Grasp>, usize) {
+/// At most `count` grasps of a task, the best first: from its file, else sampled. Both are checked
+/// against the gripper's shape. Returns the grasps and the number of candidates that were looked at.
+pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64, count: usize) -> (Vec<Grasp>, usize) {
     let candidates = if task.grasp_poses.is_empty() {
         sample_antipodal(&task.object, task.robot.file.gripper.open_width_m, seed)
     } else {
@@ -60,7 +60,7 @@ pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64) -> (Vec<Grasp>, usi
     let mut fitting: Vec<&Candidate> =
         candidates.iter().zip(&fits).filter(|(_, fit)| fit.is_some()).map(|(c, _)| c).collect();
     fitting.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let chosen = diverse(&fitting, task.file.grasps.count);
+    let chosen = diverse(&fitting, count);
     let link = &task.object.tree.links()[task.object.handle_link].name;
     let grasps = chosen.iter().enumerate().map(|(id, candidate)| Grasp {
         id: id as u32,
@@ -296,10 +296,10 @@ fn rigid_with_tool(robot: &Robot, link: usize) -> bool {
 }
 
 /// Picks `count` candidates: the best, then always the one farthest from those picked (5 cm count as
-/// much as 0.5 rad), among the better half.
+/// much as 0.5 rad).
 fn diverse<'a>(candidates: &[&'a Candidate], count: usize) -> Vec<&'a Candidate> {
     let Some(first) = candidates.first() else { return Vec::new() };
-    let pool = &candidates[..candidates.len().min((candidates.len() / 2).max(count))];
+    let pool = candidates;
     let apart = |a: &Candidate, b: &Candidate| {
         let t = a.link_from_tool.translation.vector - b.link_from_tool.translation.vector;
         let r = a.link_from_tool.rotation.angle_to(&b.link_from_tool.rotation);

@@ -12,6 +12,8 @@ use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables,
 pub const TOLERANCE: f64 = 1e-6;
 
 const MAX_ITERATIONS: usize = 60;
+/// Random draws for each seed until one passes the prefilter.
+const SEED_DRAWS: usize = 20;
 
 /// The tool of a compiled robot.
 #[derive(Debug, Clone)]
@@ -171,8 +173,8 @@ pub fn wrap(angle: f64) -> f64 {
     angle.sin().atan2(angle.cos())
 }
 
-/// Solves from `seeds` random starts; `accept` sees each solution. The result is in seed order and does
-/// not depend on the number of threads.
+/// Solves from `seeds` random starts that pass `prefilter`; `accept` sees each solution. The result is in
+/// seed order and does not depend on the number of threads.
 #[allow(clippy::too_many_arguments)] // a batch is described by exactly these
 pub fn solve_batch(
     kinematics: &Kinematics,
@@ -189,8 +191,11 @@ pub fn solve_batch(
         .map(|index| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(index as u64);
-            let mut x = region.sample(kinematics, target, &mut rng);
-            if !prefilter(&x) || !solve(kinematics, tool, target, &mut x, 0) {
+            let promising = (0..SEED_DRAWS)
+                .map(|_| region.sample(kinematics, target, &mut rng))
+                .find(|x| prefilter(x));
+            let Some(mut x) = promising else { return (false, None) };
+            if !solve(kinematics, tool, target, &mut x, 0) {
                 return (false, None);
             }
             (true, accept(&x).then_some(x))

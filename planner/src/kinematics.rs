@@ -191,7 +191,18 @@ impl Kinematics {
         &self.upper
     }
 
-    /// Brings every variable within its limits, `margin` (a fraction of the range) away from them.
+    /// Draws the position limits of the first `count` variables in by `margin` (rad, m), so that what is
+    /// interpolated between configurations within them stays within the true ones.
+    pub fn draw_in_limits(&mut self, count: usize, margin: f64) {
+        for i in 0..count {
+            if self.upper[i] - self.lower[i] > 4.0 * margin {
+                self.lower[i] += margin;
+                self.upper[i] -= margin;
+            }
+        }
+    }
+
+    /// Brings every variable within its limits.
     pub fn clamp(&self, x: &mut Variables) {
         for (value, (low, high)) in x.iter_mut().zip(self.lower.iter().zip(&self.upper)) {
             *value = value.clamp(*low, *high);

@@ -29,6 +29,14 @@ use crate::world::{World, handle_center, outward};
 
 /// Pairs optimised between two looks at the limit: constant, so that results do not depend on threads.
 const BATCH: usize = 32;
+/// Grasps that are looked at for each one that is used, and seeds that tell whether one is within reach.
+const SCREENED_PER_GRASP: usize = 12;
+const SCREENING_SEEDS: usize = 100;
+/// Solutions among them that suffice, and the number that stands for screening in seeds.
+const SCREENING_SOLUTIONS: usize = 2;
+const SCREENING_TARGET: usize = 0xffff;
+/// Distance that plans keep from position limits, rad or m.
+const LIMIT_MARGIN: f64 = 0.02;
 /// Time step of sampled finger motion, seconds.
 const FINGER_STEP_S: f64 = 0.03;
 
@@ -72,7 +80,7 @@ impl Preparation {
         if robot.file.base.kind == BaseKind::Differential {
             return Err(PlanError::DifferentialBase { robot: robot.name.clone() });
         }
-        let spheres = spheres::of_robot(robot, robot.file.spheres.file.as_deref())?;
+        let spheres = spheres::of_robot(robot, robot.spheres_path.as_deref())?;
         let self_pairs = collision::self_collision_pairs(robot, &spheres);
         Ok(Self { self_pairs, exceptions: contact_exceptions(task), spheres })
     }
@@ -135,11 +143,7 @@ pub fn plan(
         stage_seconds: BTreeMap::new(),
     };
     let world = run.stage("distance field", |_| World::build(task, config));
-    let (grasps, tried) = run.stage("grasps", |_| {
-        grasp::grasps(task, &preparation.spheres, stage_seed(task, "grasps", 0))
-    });
-    run.count("grasps/candidates", tried);
-    run.count("grasps/used", grasps.len());
+    let grasps = run.stage("grasps", |run| run.grasps(&world))?;
     let holds = run.stage("inverse kinematics", |run| run.holds(&world, &grasps))?;
     let pairs = run.stage("pairing", |run| run.pairs(&world, &holds));
     run.count("pairs", pairs.len());
@@ -212,6 +216,54 @@ impl Run<'_> {
         self.task.robot.base_joints.len()
     }
 
+    /// The grasps that are used: the first, in order of diversity, that fit and are within reach at both
+    /// ends of the motion.
+    fn grasps(&mut self, world: &World) -> Result<Vec<Grasp>, PlanError> {
+        let task = self.task;
+        let wanted = task.file.grasps.count;
+        let (fitting, tried) = grasp::grasps(
+            task,
+            &self.preparation.spheres,
+            stage_seed(task, "grasps", 0),
+            wanted * SCREENED_PER_GRASP,
+        );
+        self.count("grasps/candidates", tried);
+        self.count("grasps/fitting", fitting.len());
+        let mut chosen = Vec::new();
+        for grasp in fitting {
+            if self.observer.cancelled() {
+                return Err(PlanError::Cancelled);
+            }
+            if chosen.len() == wanted {
+                break;
+            }
+            if self.is_within_reach(world, &grasp)? {
+                chosen.push(Grasp { id: chosen.len() as u32, ..grasp });
+            }
+        }
+        self.count("grasps/used", chosen.len());
+        Ok(chosen)
+    }
+
+    /// True where a few seeds give free configurations at the start and at a goal.
+    fn is_within_reach(&self, world: &World, grasp: &Grasp) -> Result<bool, PlanError> {
+        let akr = akr::assemble(&self.task.robot, &self.task.object, grasp)?;
+        let goal = &self.task.file.goal;
+        let reaches = |q: f64| -> Result<bool, PlanError> {
+            let found = self.solve(world, &akr, grasp, q, SCREENING_TARGET, SCREENING_SEEDS)?.0;
+            Ok(found.len() >= SCREENING_SOLUTIONS)
+        };
+        if !reaches(goal.start)? {
+            return Ok(false);
+        }
+        for &q in &goal.positions {
+            if reaches(q)? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     /// Inverse kinematics at the start and at every goal, for every grasp; clustered.
     fn holds(&mut self, world: &World, grasps: &[Grasp]) -> Result<Vec<Hold>, PlanError> {
         let mut holds = Vec::new();
@@ -231,8 +283,9 @@ impl Run<'_> {
     fn hold(&mut self, world: &World, grasp: &Grasp) -> Result<Option<Hold>, PlanError> {
         let task = self.task;
         let akr = akr::assemble(&task.robot, &task.object, grasp)?;
-        let kinematics =
+        let mut kinematics =
             Kinematics::compile(&akr.tree, &task.robot.world_from_root, &akr.variables, &akr.rest);
+        kinematics.draw_in_limits(akr.variables.len() - 1, LIMIT_MARGIN);
         let body = RobotBody::new(
             &task.robot,
             &self.preparation.spheres,
@@ -271,42 +324,13 @@ impl Run<'_> {
         q: f64,
         target_index: usize,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
-        let task = self.task;
-        let robot_variables = &akr.variables[..akr.variables.len() - 1];
-        let robot =
-            Kinematics::compile(&akr.tree, &task.robot.world_from_root, robot_variables, &akr.rest);
-        let Some(tool) = Tool::new(&task.robot, &robot) else { return Ok(Vec::new()) };
-        let target = self.tool_target(&hold.grasp, q)?;
-        let body = RobotBody::new(
-            &task.robot,
-            &self.preparation.spheres,
-            &self.preparation.self_pairs,
-            &robot,
-        );
-        let least = self.config.min_clearance_m;
-        let prefilter =
-            |x: &[f64]| self.base() == 0 || body.base_clearance(&robot.forward(x), world) > -0.05;
-        let accept = |x: &[f64]| {
-            let frames = robot.forward(x);
-            let clearance = body.clearance(&frames, world, q, MovingCheck::NotTool, least);
-            clearance.distance_m >= least
-        };
-        let seed = stage_seed(task, "ik", u64::from(hold.grasp.id) << 16 | target_index as u64);
-        let region = self.seed_region(&target);
-        let (mut found, solved) = ik::solve_batch(
-            &robot,
-            &tool,
-            &target,
-            &region,
-            seed,
-            self.config.ik_seeds,
-            &prefilter,
-            &accept,
-        );
-        self.count("ik/seeds", self.config.ik_seeds);
+        let seeds = self.config.ik_seeds;
+        let (mut found, solved) = self.solve(world, akr, &hold.grasp, q, target_index, seeds)?;
+        self.count("ik/seeds", seeds);
         self.count("ik/solved", solved);
         self.count("ik/free", found.len());
-        let weights = vec![1.0; robot.dof()];
+        let weights = vec![1.0; hold.kinematics.dof() - 1];
+        let seed = ik_seed(self.task, &hold.grasp, target_index);
         let chosen =
             cluster::representatives(&found, &weights, 10, self.config.ik_clusters, 500, seed);
         Ok(chosen
@@ -319,6 +343,50 @@ impl Run<'_> {
             .collect())
     }
 
+    /// Collision-free base and arm configurations that hold the object with its joint at `q`, and how many
+    /// seeds converged at all.
+    fn solve(
+        &self,
+        world: &World,
+        akr: &Akr,
+        grasp: &Grasp,
+        q: f64,
+        target_index: usize,
+        seeds: usize,
+    ) -> Result<(Vec<Vec<f64>>, usize), PlanError> {
+        let robot = &self.task.robot;
+        let variables = &akr.variables[..akr.variables.len() - 1];
+        let mut kinematics =
+            Kinematics::compile(&akr.tree, &robot.world_from_root, variables, &akr.rest);
+        kinematics.draw_in_limits(variables.len(), LIMIT_MARGIN);
+        let Some(tool) = Tool::new(robot, &kinematics) else { return Ok((Vec::new(), 0)) };
+        let body = RobotBody::new(
+            robot,
+            &self.preparation.spheres,
+            &self.preparation.self_pairs,
+            &kinematics,
+        );
+        let least = self.config.min_clearance_m;
+        let prefilter = |x: &[f64]| {
+            self.base() == 0 || body.base_clearance(&kinematics.forward(x), world) > -0.05
+        };
+        let accept = |x: &[f64]| {
+            let frames = kinematics.forward(x);
+            let clearance = body.clearance(&frames, world, q, MovingCheck::NotTool, least);
+            clearance.distance_m >= least
+        };
+        Ok(ik::solve_batch(
+            &kinematics,
+            &tool,
+            &self.tool_target(grasp, q)?,
+            &self.seed_region(),
+            ik_seed(self.task, grasp, target_index),
+            seeds,
+            &prefilter,
+            &accept,
+        ))
+    }
+
     /// World frame of the tool that holds the object with its joint at `q`.
     fn tool_target(&self, grasp: &Grasp, q: f64) -> Result<Frame, ModelError> {
         let object = &self.task.object;
@@ -327,7 +395,7 @@ impl Run<'_> {
         Ok(Frame::from(&(poses[link] * grasp.link_from_tool)))
     }
 
-    fn seed_region(&self, _target: &Frame) -> SeedRegion {
+    fn seed_region(&self) -> SeedRegion {
         let robot = &self.task.robot;
         let base = self.base();
         let poses = robot.tree.link_poses(&robot.world_from_root, &robot.rest);
@@ -681,6 +749,10 @@ impl Run<'_> {
             counts: self.counts.clone(),
         }
     }
+}
+
+fn ik_seed(task: &Task, grasp: &Grasp, target_index: usize) -> u64 {
+    stage_seed(task, "ik", u64::from(grasp.id) << 16 | target_index as u64)
 }
 
 /// A seed for one stage of a task: independent streams from one number.

@@ -45,7 +45,7 @@ pub struct SphereModel {
 /// Largest number of spheres of one link.
 const MAX_PER_LINK: usize = 40;
 /// Fitting stops where this fraction of the surface is covered.
-const COVERAGE_GOAL: f64 = 0.995;
+const COVERAGE_GOAL: f64 = 0.975;
 /// Number of candidate centres and of surface samples, at most.
 const MAX_CANDIDATES: usize = 2500;
 const MAX_SAMPLES: usize = 2500;
@@ -101,7 +101,7 @@ fn fit_link(
     let low = corners.clone().fold(Vector3::repeat(f64::INFINITY), |a, c| a.inf(c));
     let high = corners.fold(Vector3::repeat(f64::NEG_INFINITY), |a, c| a.sup(c));
     let extent = high - low;
-    let protrusion = voxel_m.map_or(0.06 * extent.norm(), |v| v / 2.0).clamp(0.004, 0.04);
+    let protrusion = voxel_m.map_or(0.06 * extent.norm(), |v| v / 2.0).clamp(0.006, 0.04);
     let voxel = (extent.product().max(1e-9) / 30_000.0).cbrt().clamp(0.003, 0.03);
     let pad = Vector3::repeat(3.0 * voxel);
     let seed = [low - pad];

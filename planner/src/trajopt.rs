@@ -17,8 +17,10 @@ use crate::world::World;
 /// Waypoints, each a configuration of the AKR.
 pub type Waypoints = Vec<Vec<f64>>;
 
-/// Weight of squared clearance hinges (per square metre) and limit hinges (per square radian).
-const CLEARANCE_WEIGHT: f64 = 4000.0;
+/// Weights of squared clearance hinges (per square metre), one round of optimisation each: the next round
+/// is for paths that are still too close to something.
+const CLEARANCE_WEIGHTS: [f64; 3] = [4e3, 4e4, 4e5];
+/// Weight of squared limit hinges (per square radian).
 const LIMIT_WEIGHT: f64 = 100.0;
 /// Distance from a joint limit at which its hinge begins, rad or m.
 const LIMIT_MARGIN: f64 = 0.03;
@@ -92,17 +94,26 @@ impl Problem<'_> {
         Some(x)
     }
 
-    /// Optimises in place: the first waypoint stays, the last keeps the object's joint. Returns the final
-    /// clearance cost (square metres; 0 where every clearance is met).
-    pub fn optimise(&self, path: &mut Waypoints) -> f64 {
+    /// Optimises in place: the first waypoint stays, the last keeps the object's joint.
+    pub fn optimise(&self, path: &mut Waypoints) {
+        let spare = self.config.clearance_m - self.config.min_clearance_m;
+        for weight in CLEARANCE_WEIGHTS {
+            if self.round(path, weight) < 0.8 * spare {
+                break;
+            }
+        }
+    }
+
+    /// One round with a fixed clearance weight. Returns the largest clearance hinge that is left, metres.
+    fn round(&self, path: &mut Waypoints, weight: f64) -> f64 {
         let mut damping = 1e-3;
-        let mut terms = self.terms(path);
+        let mut terms = self.terms(path, weight);
         let mut cost = self.total(path, &terms);
         for _ in 0..self.config.iterations {
             let Some(step) = self.step(path, &terms, damping) else { break };
             let mut trial = path.clone();
             let projected = self.apply(&mut trial, &step);
-            let trial_terms = self.terms(&trial);
+            let trial_terms = self.terms(&trial, weight);
             let trial_cost = self.total(&trial, &trial_terms);
             if projected && trial_cost < cost {
                 let gain = (cost - trial_cost) / cost.max(1e-12);
@@ -120,7 +131,7 @@ impl Problem<'_> {
                 }
             }
         }
-        terms.iter().map(|t| t.cost).sum::<f64>() / CLEARANCE_WEIGHT
+        terms.iter().map(|t| t.largest).fold(0.0, f64::max)
     }
 
     fn apply(&self, path: &mut Waypoints, step: &[SVector<f64, MAX_VARIABLES>]) -> bool {
@@ -137,19 +148,19 @@ impl Problem<'_> {
     }
 
     /// Clearance and limit penalties of every waypoint.
-    fn terms(&self, path: &Waypoints) -> Vec<Penalty> {
-        path.iter().map(|x| self.waypoint_terms(x)).collect()
+    fn terms(&self, path: &Waypoints, weight: f64) -> Vec<Penalty> {
+        path.iter().map(|x| self.waypoint_terms(x, weight)).collect()
     }
 
-    fn waypoint_terms(&self, x: &[f64]) -> Penalty {
+    fn waypoint_terms(&self, x: &[f64], weight: f64) -> Penalty {
         let mut penalty = Penalty::zero();
         let frames = self.kinematics.forward(x);
         let object = x.len() - 1;
         let margin = self.config.clearance_m;
         self.body.penalty(self.kinematics, &frames, self.world, x, object, margin, &mut penalty);
-        penalty.cost *= CLEARANCE_WEIGHT;
-        penalty.gradient *= CLEARANCE_WEIGHT;
-        penalty.hessian *= CLEARANCE_WEIGHT;
+        penalty.cost *= weight;
+        penalty.gradient *= weight;
+        penalty.hessian *= weight;
         let mut limits = Penalty::zero();
         for i in 0..object {
             let low = self.kinematics.lower()[i] + LIMIT_MARGIN - x[i];
