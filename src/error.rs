@@ -50,7 +50,9 @@ impl Error {
         match self {
             Self::Input(_) | Self::Judge(_) | Self::Usage(_) => ExitCode::BadInput,
             Self::Failed(_) | Self::Interrupted(_) => ExitCode::Failed,
-            Self::Pack(error) if error.exit_code() == ExitCode::BadInput as i32 => ExitCode::BadInput,
+            Self::Pack(error) if error.exit_code() == ExitCode::BadInput as i32 => {
+                ExitCode::BadInput
+            }
             Self::Pack(_) | Self::Render(RenderError::Device { .. }) => ExitCode::Failed,
             Self::Render(_) => ExitCode::BadInput,
         }

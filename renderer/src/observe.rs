@@ -1,6 +1,6 @@
 //! Trajectories as streams of observations.
 
-use akrobat_cameras::{Observation, Rig};
+use akrobat_cameras::{CameraFrame, Observation, Rig};
 use akrobat_model::Trajectory;
 use akrobat_model::task::Task;
 use schemars::JsonSchema;
@@ -125,8 +125,34 @@ impl Episode<'_> {
     ) -> Result<Observation, RenderError> {
         let state = self.state(frame);
         let cameras = backend.render(self.scene, &state, &self.rig.at(&state))?;
+        Ok(self.observation(state, cameras))
+    }
+
+    /// Renders consecutive frames in one call of the backend.
+    ///
+    /// # Errors
+    /// Those of the backend.
+    ///
+    /// # Panics
+    /// If there are no such frames.
+    pub fn observe_batch(
+        &self,
+        frames: std::ops::Range<usize>,
+        backend: &mut dyn Backend,
+    ) -> Result<Vec<Observation>, RenderError> {
+        let placed = |state: FrameState| {
+            let cameras = self.rig.at(&state);
+            (state, cameras)
+        };
+        let states: Vec<_> = frames.map(|frame| placed(self.state(frame))).collect();
+        let images = backend.render_batch(self.scene, &states)?;
+        let pairs = states.into_iter().zip(images);
+        Ok(pairs.map(|((state, _), cameras)| self.observation(state, cameras)).collect())
+    }
+
+    fn observation(&self, state: FrameState, cameras: Vec<CameraFrame>) -> Observation {
         let cloud = fuse(&cameras, &self.handle.position(&state), &self.cloud);
-        Ok(Observation {
+        Observation {
             frame: state.frame,
             time_s: state.time_s,
             phase: state.phase,
@@ -137,7 +163,7 @@ impl Episode<'_> {
             world_from_tool: state.world_from_tool,
             world_from_base: state.world_from_base,
             world_from_object: state.world_from_object,
-        })
+        }
     }
 
     /// Renders all frames in order, one at a time.

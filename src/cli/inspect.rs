@@ -32,7 +32,12 @@ fn text(file: &Path, set: &TrajectorySet) -> String {
     let header = &set.header;
     let trajectories = &set.trajectories;
     let mut lines = vec![
-        format!("{}: {} trajectories of task \"{}\"", file.display(), trajectories.len(), header.task_name),
+        format!(
+            "{}: {} trajectories of task \"{}\"",
+            file.display(),
+            trajectories.len(),
+            header.task_name
+        ),
         format!("  robot   {} ({:?} base)", header.robot_id, header.base_kind).to_lowercase(),
         format!("  object  {}, driven joint \"{}\"", header.object_id, header.active_joint),
         format!("  scene   {}", header.scene_id),

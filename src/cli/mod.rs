@@ -2,7 +2,9 @@
 
 mod inspect;
 mod plan;
+mod render;
 mod schema;
+mod validate;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -34,7 +36,9 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Plan(plan::PlanArgs),
+    Render(render::RenderArgs),
     Inspect(inspect::InspectArgs),
+    Validate(validate::ValidateArgs),
     Schema(schema::SchemaArgs),
 }
 
@@ -84,6 +88,8 @@ pub fn run<A: Into<OsString> + Clone>(
 fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
     match command {
         Command::Plan(args) => plan::run(args, context),
+        Command::Render(args) => render::run(args, context),
+        Command::Validate(args) => validate::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Schema(args) => schema::run(args),
     }

@@ -1,6 +1,7 @@
 //! The stages composed into the jobs that the command line and the Python package offer.
 
 mod plan;
+mod render;
 
 use std::path::{Path, PathBuf};
 
@@ -10,6 +11,7 @@ use akrobat_model::load::AssetSearch;
 use crate::{Error, Host};
 
 pub use plan::{PlanReport, PlanRequest, plan};
+pub use render::{BackendChoice, Format, RenderReport, RenderRequest, render};
 
 /// Folders of assets, separated like those of `PATH`.
 pub const ASSET_PATH_VARIABLE: &str = "AKROBAT_ASSET_PATH";
@@ -31,7 +33,9 @@ impl Context<'_> {
         }
         let mut folders = given.to_vec();
         if let Some(path) = std::env::var_os(ASSET_PATH_VARIABLE) {
-            folders.extend(std::env::split_paths(&path).filter(|folder| !folder.as_os_str().is_empty()));
+            folders.extend(
+                std::env::split_paths(&path).filter(|folder| !folder.as_os_str().is_empty()),
+            );
         }
         folders.extend(self.host.map(Host::asset_folders).unwrap_or_default());
         Ok(AssetSearch { folders })

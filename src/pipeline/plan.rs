@@ -76,9 +76,10 @@ fn load_task(
 ) -> Result<(Task, PlannerConfig), Error> {
     let mut task = load::task(&request.task, search)?;
     task.file.seed = request.seed.unwrap_or(task.file.seed);
-    let mut config: PlannerConfig = task.file.planner.clone().try_into().map_err(|e: toml::de::Error| {
-        ModelError::invalid(&request.task, format!("[planner]: {}", e.message()))
-    })?;
+    let mut config: PlannerConfig =
+        task.file.planner.clone().try_into().map_err(|e: toml::de::Error| {
+            ModelError::invalid(&request.task, format!("[planner]: {}", e.message()))
+        })?;
     config.limit = request.limit.unwrap_or(config.limit);
     if config.limit == 0 {
         return Err(Error::Usage("limit: expected at least 1 trajectory, got 0".into()));

@@ -1,0 +1,139 @@
+//! `akrobat render`: trajectory file -> dataset.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::Report;
+use crate::pipeline::{self, BackendChoice, Context, Format, RenderReport, RenderRequest};
+use crate::{Error, ExitCode};
+
+/// Replay trajectories, render what cameras see, and write a dataset.
+///
+/// Examples:
+///   akrobat render drawer.h5 -o dataset                      three RGB-D cameras, HDF5 shards
+///   akrobat render drawer.h5 -o dataset --episodes 0,5-9     some of the trajectories
+///   akrobat render drawer.h5 -o dataset --rig my_rig.toml    other cameras (`akrobat schema rig`)
+///   akrobat render drawer.h5 -o dataset --format mcap        one MCAP log per episode
+///   akrobat render drawer.h5 -o dataset --resume             go on after an interruption
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+pub struct RenderArgs {
+    /// Trajectory file, as `akrobat plan` writes it.
+    trajectories: PathBuf,
+    /// Dataset folder to write: empty or new, unless --resume is given.
+    #[arg(long, short)]
+    output: PathBuf,
+    /// Which renderer draws.
+    #[arg(long, value_enum, default_value_t)]
+    backend: BackendChoice,
+    /// Cameras: the name of a preset or a rig file.
+    #[arg(long, value_name = "PRESET|FILE", default_value = "paper")]
+    rig: String,
+    /// Which files hold the episodes.
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+    /// Positions in the trajectory file, such as `0,5-9`; all where absent.
+    #[arg(long, value_name = "LIST", value_parser = parse_episodes)]
+    episodes: Option<Episodes>,
+    /// Which phases are rendered.
+    #[arg(long, value_enum, default_value_t)]
+    phases: Phases,
+    /// Continue what an interrupted run of the same command left.
+    #[arg(long)]
+    resume: bool,
+    /// Number of threads; one for each core where absent.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Folder where assets are looked up, as for `akrobat plan`; may be repeated.
+    #[arg(long, value_name = "DIR")]
+    assets: Vec<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+enum Phases {
+    /// Approach, grasp and manipulation.
+    #[default]
+    All,
+    /// The manipulation alone.
+    Manipulate,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Episodes(Vec<usize>);
+
+/// Runs the verb.
+pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
+    let request = RenderRequest {
+        trajectories: args.trajectories.clone(),
+        output: args.output.clone(),
+        assets: args.assets.clone(),
+        backend: args.backend,
+        rig: Some(args.rig.clone()),
+        format: args.format,
+        episodes: args.episodes.clone().map(|Episodes(list)| list),
+        manipulation_only: args.phases == Phases::Manipulate,
+        resume: args.resume,
+        threads: args.threads,
+    };
+    let report = pipeline::render(&request, context)?;
+    Ok(Report {
+        text: text(&report),
+        json: serde_json::to_value(&report).unwrap_or_default(),
+        exit_code: if report.filtered == 0 { ExitCode::Done } else { ExitCode::Incomplete },
+    })
+}
+
+fn text(report: &RenderReport) -> String {
+    let folders: Vec<String> = report.datasets.iter().map(|d| d.display().to_string()).collect();
+    let mut line = format!(
+        "{}: {} episodes, {} frames, {} images by {} in {:.1} s",
+        folders.join(", "),
+        report.episodes,
+        report.frames,
+        report.images,
+        report.backend,
+        report.seconds
+    );
+    if report.resumed > 0 {
+        line += &format!("; {} episodes were there already", report.resumed);
+    }
+    if report.filtered > 0 {
+        line += &format!("; {} left out, which the judge had refused", report.filtered);
+    }
+    line
+}
+
+/// Reads `0,5-9` as 0, 5, 6, 7, 8, 9.
+fn parse_episodes(text: &str) -> Result<Episodes, String> {
+    let number = |text: &str| {
+        text.trim()
+            .parse::<usize>()
+            .map_err(|_| format!("expected numbers and ranges such as 0,5-9, got \"{text}\""))
+    };
+    let mut episodes = Vec::new();
+    for item in text.split(',') {
+        let (first, last) = item.split_once('-').unwrap_or((item, item));
+        let (first, last) = (number(first)?, number(last)?);
+        if first > last {
+            return Err(format!("the range {item} is empty: its end comes first"));
+        }
+        episodes.extend(first..=last);
+    }
+    episodes.sort_unstable();
+    episodes.dedup();
+    Ok(Episodes(episodes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn episode_lists_are_sorted_sets() {
+        assert_eq!(parse_episodes("7, 0,5-7").unwrap().0, [0, 5, 6, 7]);
+        for wrong in ["", "a", "1-", "3-1", "-2"] {
+            assert!(parse_episodes(wrong).is_err(), "{wrong}");
+        }
+    }
+}
