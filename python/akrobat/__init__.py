@@ -2,7 +2,22 @@
 
 from importlib.metadata import version
 
+from akrobat._core import Trajectories, Trajectory
+from akrobat.api import open, plan, render
+from akrobat.dataset import Dataset, Episode
 from akrobat.errors import AkrobatError, InputError, RunError
 
 __version__ = version("akrobat")
-__all__ = ["AkrobatError", "InputError", "RunError", "__version__"]
+__all__ = [
+    "AkrobatError",
+    "Dataset",
+    "Episode",
+    "InputError",
+    "RunError",
+    "Trajectories",
+    "Trajectory",
+    "__version__",
+    "open",
+    "plan",
+    "render",
+]

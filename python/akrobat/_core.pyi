@@ -1,6 +1,11 @@
 """The compiled half of the package."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 class AkrobatError(Exception):
     """Any failure of an Akrobat function."""
@@ -10,6 +15,106 @@ class InputError(AkrobatError):
 
 class RunError(AkrobatError):
     """The machine failed: full disk, lost device."""
+
+@final
+class Trajectories:
+    """Trajectories of one task: a sequence."""
+
+    @staticmethod
+    def read(path: Path) -> Trajectories:
+        """Reads a trajectory file."""
+    def write(self, path: Path) -> None:
+        """Writes a trajectory file."""
+    @property
+    def header(self) -> dict[str, Any]:
+        """What the trajectories share, as plain Python values."""
+    @property
+    def robot_joints(self) -> list[str]:
+        """Names of the robot columns."""
+    @property
+    def object_joints(self) -> list[str]:
+        """Names of the object columns."""
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> Trajectory: ...
+    def __iter__(self) -> Iterator[Trajectory]: ...
+
+@final
+class Trajectory:
+    """One trajectory. Positions are in radians or metres."""
+
+    @property
+    def id(self) -> str:
+        """Identity: a hash of scene, object, grasp, seed and configuration."""
+    @property
+    def seed(self) -> int:
+        """The seed of its own random numbers."""
+    @property
+    def start(self) -> float:
+        """Position of the driven object joint at the first waypoint."""
+    @property
+    def goal(self) -> float:
+        """Position of the driven object joint that the last waypoint reaches."""
+    @property
+    def grasp_id(self) -> int:
+        """Number of the grasp within the task."""
+    @property
+    def link_from_tool(self) -> NDArray[np.float64]:
+        """Tool frame in the held link's frame, `x y z qw qx qy qz`."""
+    @property
+    def waypoints_robot(self) -> NDArray[np.float32]:
+        """Robot waypoints of the manipulation `[T, columns]`."""
+    @property
+    def waypoints_object(self) -> NDArray[np.float32]:
+        """Object waypoints of the manipulation `[T, columns]`."""
+    @property
+    def waypoint_interval_s(self) -> float:
+        """Time between waypoints, seconds."""
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """Times of the dense path `[N]`, seconds."""
+    @property
+    def robot(self) -> NDArray[np.float32]:
+        """Robot joint positions of the dense path `[N, columns]`."""
+    @property
+    def object(self) -> NDArray[np.float32]:
+        """Object joint positions of the dense path `[N, columns]`."""
+    @property
+    def phase(self) -> NDArray[np.uint8]:
+        """Phase of each dense sample `[N]`: 0 approach, 1 reach, 2 grasp, 3 manipulate, 4 regrasp,
+        5 release."""
+    @property
+    def verdict(self) -> dict[str, Any] | None:
+        """The judge's findings, or `None` where it was not judged."""
+    def sample(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Robot and object positions at a time on the dense path, linear between samples."""
+
+def plan(
+    task: Path,
+    output: Path | None,
+    *,
+    limit: int | None,
+    seed: int | None,
+    threads: int | None,
+    assets: Sequence[Path],
+    quiet: bool,
+) -> Trajectories:
+    """Plans a task; see `akrobat.plan`."""
+
+def render(
+    trajectories: Path,
+    output: Path,
+    *,
+    backend: str,
+    rig: str,
+    format: str,
+    episodes: Sequence[int] | None,
+    manipulation_only: bool,
+    resume: bool,
+    threads: int | None,
+    assets: Sequence[Path],
+    quiet: bool,
+) -> dict[str, Any]:
+    """Renders a trajectory file; see `akrobat.render`."""
 
 def run(argv: Sequence[str]) -> int:
     """Runs the command line `argv` (the program's name first) and returns its exit code."""

@@ -1,5 +1,6 @@
 //! `akrobat._core`: registers with Python what the Rust crates do. No logic of its own.
 
+mod api;
 mod command_line;
 mod errors;
 mod host;
@@ -12,6 +13,8 @@ use pyo3::prelude::*;
 /// The compiled half of the `akrobat` package.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use crate::api::{plan, render};
     #[pymodule_export]
     use crate::command_line::run;
     #[pymodule_export]

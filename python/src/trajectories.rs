@@ -31,7 +31,12 @@ impl PyTrajectories {
     #[staticmethod]
     fn read(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let set = py.detach(|| trajectory_file::read(&path));
-        set.map(Self::new).map_err(|error| to_python(error.into()))
+        let mut set = set.map_err(|error| to_python(error.into()))?;
+        // Without its file, a set knows its task's folder only by the whole path.
+        let folder = std::path::absolute(&path)?;
+        let folder = folder.parent().unwrap_or(&path).join(&set.header.task_dir);
+        set.header.task_dir = folder.display().to_string();
+        Ok(Self::new(set))
     }
 
     /// Writes a trajectory file.

@@ -35,7 +35,7 @@ pub struct PlanRequest {
 /// What planning gave.
 #[derive(Debug, Clone)]
 pub struct PlanReport {
-    /// The accepted trajectories.
+    /// The accepted trajectories. The task's folder is absolute here, and relative in the file.
     pub set: TrajectorySet,
     /// Counts by stage, and by reason of failure or rejection.
     pub counts: BTreeMap<String, u64>,
@@ -67,6 +67,7 @@ pub fn plan(request: &PlanRequest, context: &Context<'_>) -> Result<PlanReport, 
         report.set.header.task_dir = relative_folder(folder_of(output), folder_of(&request.task))?;
         trajectory_file::write(output, &report.set)?;
     }
+    report.set.header.task_dir = absolute(folder_of(&request.task))?.display().to_string();
     Ok(report)
 }
 
@@ -122,9 +123,12 @@ impl From<PlanError> for Error {
     }
 }
 
+fn absolute(folder: &Path) -> Result<PathBuf, Error> {
+    Ok(folder.canonicalize().map_err(|e| ModelError::read(folder, e))?)
+}
+
 /// Path from one folder to another, so that trajectory and task can move together.
 fn relative_folder(from: &Path, to: &Path) -> Result<String, Error> {
-    let absolute = |folder: &Path| folder.canonicalize().map_err(|e| ModelError::read(folder, e));
     let (from, to) = (absolute(from)?, absolute(to)?);
     let shared = from.components().zip(to.components()).take_while(|(a, b)| a == b).count();
     let up = from.components().skip(shared).map(|_| Component::ParentDir);

@@ -1,0 +1,117 @@
+"""The jobs of the command line as functions."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from akrobat import _core
+from akrobat.dataset import Dataset
+from akrobat.errors import InputError
+
+StrPath = str | os.PathLike[str]
+
+
+def plan(
+    task: StrPath,
+    output: StrPath | None = None,
+    *,
+    limit: int | None = None,
+    seed: int | None = None,
+    threads: int | None = None,
+    assets: Sequence[StrPath] = (),
+    quiet: bool = False,
+) -> _core.Trajectories:
+    """Plans trajectories for a task and returns those that the independent judge accepts.
+
+    :param task: task file (TOML; its schema: `akrobat schema task`)
+    :param output: trajectory file to write; only kept in memory where absent
+    :param limit: stop once this many are accepted; the task's own limit where absent
+    :param seed: seed of everything random; the task's own where absent
+    :param threads: number of threads; the result does not depend on it
+    :param assets: folders where assets are looked up, before those of `$AKROBAT_ASSET_PATH`
+    :param quiet: no progress bars, no warnings
+    """
+    return _core.plan(
+        Path(task),
+        None if output is None else Path(output),
+        limit=limit,
+        seed=seed,
+        threads=threads,
+        assets=[Path(folder) for folder in assets],
+        quiet=quiet,
+    )
+
+
+def render(
+    trajectories: StrPath | _core.Trajectories,
+    output: StrPath,
+    *,
+    backend: Literal["auto", "soft", "wgpu", "sapien"] = "auto",
+    rig: StrPath = "paper",
+    format: Literal["hdf5", "mcap"] = "hdf5",
+    episodes: Sequence[int] | None = None,
+    manipulation_only: bool = False,
+    resume: bool = False,
+    threads: int | None = None,
+    assets: Sequence[StrPath] = (),
+    quiet: bool = False,
+) -> Dataset:
+    """Replays trajectories, renders what cameras see, writes a dataset and opens it.
+
+    :param trajectories: trajectory file, or what :func:`plan` returned
+    :param output: dataset folder: empty or new, unless `resume` is set
+    :param backend: which renderer draws
+    :param rig: cameras: the name of a preset or a rig file (`akrobat schema rig`)
+    :param format: which files hold the episodes
+    :param episodes: positions in the trajectory file; all where absent
+    :param manipulation_only: leave out approach and grasp
+    :param resume: continue what an interrupted run with the same arguments left
+    :param threads: number of threads; the result does not depend on it
+    :param assets: folders where assets are looked up, before those of `$AKROBAT_ASSET_PATH`
+    :param quiet: no progress bars, no warnings
+    """
+    if isinstance(trajectories, _core.Trajectories):
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "trajectories.h5"
+            trajectories.write(file)
+            return render(
+                file,
+                output,
+                backend=backend,
+                rig=rig,
+                format=format,
+                episodes=episodes,
+                manipulation_only=manipulation_only,
+                resume=resume,
+                threads=threads,
+                assets=assets,
+                quiet=quiet,
+            )
+    _core.render(
+        Path(trajectories),
+        Path(output),
+        backend=backend,
+        rig=str(rig),
+        format=format,
+        episodes=None if episodes is None else list(episodes),
+        manipulation_only=manipulation_only,
+        resume=resume,
+        threads=threads,
+        assets=[Path(folder) for folder in assets],
+        quiet=quiet,
+    )
+    return Dataset(output)
+
+
+def open(path: StrPath) -> _core.Trajectories | Dataset:
+    """Opens a trajectory file or a dataset folder."""
+    path = Path(path)
+    if path.is_dir():
+        return Dataset(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file or folder")
+    return _core.Trajectories.read(path)

@@ -1,0 +1,91 @@
+//! The jobs of the command line as functions.
+
+use std::path::PathBuf;
+
+use akrobat::CancelToken;
+use akrobat::pipeline::{self, BackendChoice, Context, Format, PlanRequest, RenderRequest};
+use akrobat::progress::{Progress, Verbosity};
+use clap::ValueEnum;
+use pyo3::prelude::*;
+
+use crate::errors::{InputError, to_python};
+use crate::host::PythonHost;
+use crate::interruptible::run_interruptibly;
+use crate::trajectories::{PyTrajectories, plain};
+
+/// Plans a task; see `akrobat.plan`.
+#[pyfunction]
+#[pyo3(signature = (task, output, *, limit, seed, threads, assets, quiet))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
+pub fn plan(
+    py: Python<'_>,
+    task: PathBuf,
+    output: Option<PathBuf>,
+    limit: Option<usize>,
+    seed: Option<u64>,
+    threads: Option<usize>,
+    assets: Vec<PathBuf>,
+    quiet: bool,
+) -> PyResult<PyTrajectories> {
+    let request = PlanRequest { task, output, assets, seed, limit, threads };
+    let report = run(py, quiet, |context| pipeline::plan(&request, context))?;
+    Ok(PyTrajectories::new(report.set))
+}
+
+/// Renders a trajectory file; see `akrobat.render`.
+#[pyfunction]
+#[pyo3(signature = (trajectories, output, *, backend, rig, format, episodes, manipulation_only, resume, threads, assets, quiet))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
+pub fn render<'py>(
+    py: Python<'py>,
+    trajectories: PathBuf,
+    output: PathBuf,
+    backend: &str,
+    rig: String,
+    format: &str,
+    episodes: Option<Vec<usize>>,
+    manipulation_only: bool,
+    resume: bool,
+    threads: Option<usize>,
+    assets: Vec<PathBuf>,
+    quiet: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let request = RenderRequest {
+        trajectories,
+        output,
+        assets,
+        backend: choice::<BackendChoice>("backend", backend)?,
+        rig: Some(rig),
+        format: choice::<Format>("format", format)?,
+        episodes,
+        manipulation_only,
+        resume,
+        threads,
+    };
+    let report = run(py, quiet, |context| pipeline::render(&request, context))?;
+    plain(py, &report)
+}
+
+fn run<T: Send>(
+    py: Python<'_>,
+    quiet: bool,
+    job: impl FnOnce(&Context<'_>) -> Result<T, akrobat::Error> + Send,
+) -> PyResult<T> {
+    let cancel = CancelToken::default();
+    let verbosity = if quiet { Verbosity::Quiet } else { Verbosity::Normal };
+    let observer = Progress::new(cancel.clone(), verbosity);
+    let context = Context { host: Some(&PythonHost), observer: &observer };
+    run_interruptibly(py, &cancel, || job(&context))?.map_err(to_python)
+}
+
+/// A value of a closed set by the name it has on the command line.
+fn choice<T: ValueEnum>(argument: &str, name: &str) -> PyResult<T> {
+    T::from_str(name, false).map_err(|_| {
+        let choices: Vec<String> = T::value_variants()
+            .iter()
+            .filter_map(|v| Some(v.to_possible_value()?.get_name().to_owned()))
+            .collect();
+        let choices = choices.join(", ");
+        InputError::new_err(format!("{argument}: unknown \"{name}\"; valid choices: {choices}"))
+    })
+}
