@@ -57,20 +57,21 @@ pub(crate) fn read_error(path: &Path, item: &str, error: &hdf5::Error) -> PackEr
 pub(crate) fn write_chunk(
     dataset: &hdf5::Dataset,
     offset: &[u64],
-    chunk: &crate::shard::codec::EncodedChunk,
+    chunk: &[u8],
 ) -> hdf5::Result<()> {
+    const ALL_FILTERS: u32 = 0;
     assert_eq!(offset.len(), dataset.ndim(), "one offset per axis");
     hdf5::sync::sync(|| {
-        // SAFETY: the dataset is open, `offset` has one value per axis, and `bytes` outlives the call,
+        // SAFETY: the dataset is open, `offset` has one value per axis, and `chunk` outlives the call,
         // which reads exactly its length.
         let status = unsafe {
             hdf5_sys::h5d::H5Dwrite_chunk(
                 dataset.id(),
                 hdf5_sys::h5p::H5P_DEFAULT,
-                chunk.skipped_filters,
+                ALL_FILTERS,
                 offset.as_ptr(),
-                chunk.bytes.len(),
-                chunk.bytes.as_ptr().cast(),
+                chunk.len(),
+                chunk.as_ptr().cast(),
             )
         };
         if status < 0 { Err(hdf5::Error::query()?) } else { Ok(()) }

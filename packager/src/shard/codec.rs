@@ -5,34 +5,14 @@
 
 use crate::h5::DEFLATE_LEVEL;
 
-/// An encoded chunk and the filters that were left out, as `H5Dwrite_chunk` takes them.
-#[derive(Debug)]
-pub(crate) struct EncodedChunk {
-    /// Content of the chunk in the file.
-    pub bytes: Vec<u8>,
-    /// Bit i is set where filter i of the pipeline was skipped.
-    pub skipped_filters: u32,
-}
-
-/// Position of deflate in the pipeline shuffle, deflate, Fletcher-32.
-const DEFLATE_FILTER: u32 = 1;
-
-/// Encodes one chunk of little-endian elements of `element_size` bytes.
-pub(crate) fn encode(raw: &[u8], element_size: usize) -> EncodedChunk {
-    let shuffled;
-    let input = if element_size > 1 {
-        shuffled = shuffle(raw, element_size);
-        &shuffled
-    } else {
-        raw
-    };
-    let (mut bytes, skipped_filters) = match deflate(input) {
-        Some(bytes) => (bytes, 0),
-        None => (input.to_vec(), 1 << DEFLATE_FILTER),
-    };
+/// Encodes one chunk of little-endian elements of `element_size` bytes. No filter is ever skipped:
+/// noise grows by a few bytes rather than need a filter mask that readers treat differently.
+pub(crate) fn encode(raw: &[u8], element_size: usize) -> Vec<u8> {
+    let mut bytes =
+        if element_size > 1 { deflate(&shuffle(raw, element_size)) } else { deflate(raw) };
     let checksum = fletcher32(&bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
-    EncodedChunk { bytes, skipped_filters }
+    bytes
 }
 
 /// All first bytes, then all second bytes, and so on; a ragged tail stays as it is.
@@ -46,14 +26,17 @@ fn shuffle(raw: &[u8], element_size: usize) -> Vec<u8> {
     shuffled
 }
 
-/// A zlib stream; `None` where it would not be smaller.
-fn deflate(input: &[u8]) -> Option<Vec<u8>> {
+/// A zlib stream.
+fn deflate(input: &[u8]) -> Vec<u8> {
     let level = libdeflater::CompressionLvl::new(i32::from(DEFLATE_LEVEL))
         .expect("the level is a constant within libdeflate's range");
-    let mut output = vec![0; input.len()];
-    let size = libdeflater::Compressor::new(level).zlib_compress(input, &mut output).ok()?;
+    let mut compressor = libdeflater::Compressor::new(level);
+    let mut output = vec![0; compressor.zlib_compress_bound(input.len())];
+    let size = compressor
+        .zlib_compress(input, &mut output)
+        .expect("the bound is the largest size a stream can have");
     output.truncate(size);
-    (size < input.len()).then_some(output)
+    output
 }
 
 /// Fletcher's checksum over big-endian 16-bit words, an odd last byte counting as a high byte, with
@@ -119,7 +102,7 @@ mod tests {
         let dataset = file.new_dataset::<u8>().chunk((100,)).shuffle().deflate(4).fletcher32();
         let dataset = dataset.shape((100,)).create("d").unwrap();
         let mut chunk = encode(&[7; 100], 1);
-        *chunk.bytes.last_mut().unwrap() ^= 1;
+        *chunk.last_mut().unwrap() ^= 1;
         crate::h5::write_chunk(&dataset, &[0], &chunk).unwrap();
         assert!(dataset.read_raw::<u8>().is_err());
     }

@@ -6,7 +6,7 @@
 //! - `actions`, `processed_actions` `[T, columns]` f32: row t is the absolute joint target that leads
 //!   from frame t to frame t + 1; the last row repeats. There is no scaling, so both are equal.
 //! - `obs/{actions, joint_pos, joint_vel, gripper_pos, eef_pos, eef_quat, base_pose}`; row t of
-//!   `obs/actions` is the action that led to frame t. The images are hard-linked here.
+//!   `obs/actions` is the action that led to frame t (for frame 0, its own joint positions). The images are hard-linked here.
 //! - `camera_obs/<camera>_{rgb, depth, segmentation, intrinsics, world_from_camera}`.
 //! - `point_cloud` `[T, points, 6]` f32: `x y z` in metres, world frame; `r g b` in 0..255.
 //! - `states/articulation/<name>/{joint_position, joint_velocity, root_pose, root_velocity}` of
@@ -30,7 +30,7 @@ use crate::episode::{DepthEncoding, EpisodeInfo, metres, millimetres};
 use crate::error::{PackError, Result};
 use crate::h5::{GroupWriter, H5Writer, write_chunk, write_error};
 use crate::trajectory_file::phase_names;
-use series::{Series, pose_rows, previous, targets, twists, velocities};
+use series::{Series, pose_rows, targets, twists, velocities};
 
 /// Value of the root attribute `format`.
 pub const FORMAT: &str = "akrobat.shard";
@@ -303,7 +303,7 @@ enum ChunkData<'a> {
 }
 
 impl ChunkJob<'_> {
-    fn encode(&self) -> codec::EncodedChunk {
+    fn encode(&self) -> Vec<u8> {
         match &self.data {
             ChunkData::Rgb(images) => codec::encode(&images.rgb, 1),
             ChunkData::Depth(images, DepthEncoding::Millimetres) => {
@@ -467,7 +467,8 @@ fn write_series(group: &GroupWriter, info: &EpisodeInfo, series: &Series) -> Res
     group.array("processed_actions", &[frames, columns], &actions)?;
 
     let obs = group.existing("obs")?;
-    obs.array("actions", &[frames, columns], &previous(&series.robot, columns))?;
+    // The action that led to a frame is the target that is reached there.
+    obs.array("actions", &[frames, columns], &series.robot)?;
     obs.array("joint_pos", &[frames, columns], &series.robot)?;
     let velocity = velocities(&series.time_s, &series.robot, columns);
     obs.array("joint_vel", &[frames, columns], &velocity)?;

@@ -69,13 +69,6 @@ pub(crate) fn targets(rows: &[f32], columns: usize) -> Vec<f32> {
     [rows.get(columns..).unwrap_or_default(), &rows[last..]].concat()
 }
 
-/// Rows moved one frame back, the first repeated: row t is what led to frame t.
-pub(crate) fn previous(rows: &[f32], columns: usize) -> Vec<f32> {
-    let last = rows.len().saturating_sub(columns);
-    let first = rows.len().min(columns);
-    [&rows[..first], &rows[..last]].concat()
-}
-
 /// The frames before and after frame `t` between which its rate of change is taken.
 fn neighbours(t: usize, frames: usize) -> (usize, usize) {
     (t.saturating_sub(1), (t + 1).min(frames - 1))
@@ -122,9 +115,8 @@ mod tests {
     #[test]
     fn targets_lead_to_the_next_frame() {
         assert_eq!(targets(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 2), [3.0, 4.0, 5.0, 6.0, 5.0, 6.0]);
-        assert_eq!(previous(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 2), [1.0, 2.0, 1.0, 2.0, 3.0, 4.0]);
         assert_eq!(targets(&[1.0, 2.0], 2), [1.0, 2.0]);
-        assert!(targets(&[], 2).is_empty() && previous(&[], 2).is_empty());
+        assert!(targets(&[], 2).is_empty());
     }
 
     #[test]
