@@ -36,6 +36,10 @@ enum Kind {
     Robot,
     /// Camera rigs.
     Rig,
+    /// The `[planner]` table of task files.
+    Planner,
+    /// The judge's tolerances.
+    Judge,
 }
 
 impl Kind {
@@ -44,14 +48,18 @@ impl Kind {
             Self::Task => "task",
             Self::Robot => "robot",
             Self::Rig => "rig",
+            Self::Planner => "planner",
+            Self::Judge => "judge",
         }
     }
 
     fn schema(self) -> Schema {
         match self {
-            Self::Task => schemars::schema_for!(akrobat_model::TaskFile),
+            Self::Task => task_schema(),
             Self::Robot => schemars::schema_for!(akrobat_model::RobotFile),
             Self::Rig => schemars::schema_for!(akrobat_cameras::Rig),
+            Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
+            Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
         }
     }
 
@@ -62,6 +70,20 @@ impl Kind {
     fn file_text(self) -> String {
         format!("{:#}\n", self.schema().to_value())
     }
+}
+
+/// Task files with the planner's own schema for `[planner]`, which the task's type does not know.
+fn task_schema() -> Schema {
+    let mut task = schemars::schema_for!(akrobat_model::TaskFile);
+    let planner = schemars::schema_for!(akrobat_planner::PlannerConfig);
+    if let Some(properties) = task.get_mut("properties").and_then(|p| p.as_object_mut()) {
+        let mut planner = planner.to_value();
+        if let Some(schema) = planner.as_object_mut() {
+            schema.remove("$schema");
+        }
+        properties.insert("planner".into(), planner);
+    }
+    task
 }
 
 /// Runs the verb.
