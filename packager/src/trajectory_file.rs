@@ -419,8 +419,11 @@ fn ranges(offset: &[u64], total: usize) -> Option<Vec<Range<usize>>> {
         .then(|| offset.windows(2).map(|w| w[0] as usize..w[1] as usize).collect())
 }
 
+/// Where a verdict keeps one of its numbers.
+type VerdictValue = fn(&mut Verdict) -> &mut f64;
+
 /// The numbers of a verdict with their names in the file.
-const VERDICT_VALUES: [(&str, fn(&mut Verdict) -> &mut f64); 6] = [
+const VERDICT_VALUES: [(&str, VerdictValue); 6] = [
     ("anchor_translation_m", |v| &mut v.anchor_translation_m),
     ("anchor_rotation_rad", |v| &mut v.anchor_rotation_rad),
     ("velocity_fraction", |v| &mut v.velocity_fraction),

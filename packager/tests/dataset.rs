@@ -1,5 +1,7 @@
 //! Dataset folders: what is written is read, damage is found, killed runs are resumed.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking, too")]
+
 #[path = "../examples/sample/mod.rs"]
 mod sample;
 

@@ -1,5 +1,7 @@
 //! Trajectory files: exact round trips, same bytes, and refusal of damaged files.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking, too")]
+
 use std::path::Path;
 
 use akrobat_model::robot::BaseKind;
