@@ -8,6 +8,7 @@ pub mod error;
 pub mod host;
 pub mod pipeline;
 pub mod progress;
+pub mod report;
 
 pub use cancel::CancelToken;
 pub use cli::run;
