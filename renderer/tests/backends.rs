@@ -2,6 +2,7 @@
 //! other's reference. A missing adapter is a failure, not a skip.
 
 #![cfg(feature = "wgpu")]
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests do")]
 
 mod common;
 

@@ -1,6 +1,7 @@
 //! The `wgpu` backend against the image model. A missing adapter is a failure, not a skip.
 
 #![cfg(feature = "wgpu")]
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests do")]
 
 mod common;
 

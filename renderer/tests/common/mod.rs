@@ -11,10 +11,13 @@ use akrobat_model::{Material, Part, Phase, Pose, Shape, TriMesh};
 use akrobat_renderer::{BodyGroup, FrameState, PlacedCamera, RenderScene};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
+/// Group, name, class, index and meshes.
+type Body = (BodyGroup, String, String, usize, Vec<Arc<TriMesh>>);
+
 /// Bodies and their poses.
 #[derive(Default)]
 pub struct World {
-    bodies: Vec<(BodyGroup, String, String, usize, Vec<Arc<TriMesh>>)>,
+    bodies: Vec<Body>,
     poses: Vec<Pose>,
 }
 
