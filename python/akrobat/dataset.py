@@ -84,14 +84,7 @@ class Episode(Mapping[str, NDArray[Any]]):
         return np.asarray(self._dataset(name)[()])
 
     def __iter__(self) -> Iterator[str]:
-        names: list[str] = []
-
-        def visit(name: str, item: h5py.Dataset | h5py.Group) -> None:
-            if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiub":
-                names.append(name)
-
-        self._open().visititems(visit)
-        return iter(names)
+        yield from _numeric_arrays(self._open())
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -102,7 +95,10 @@ class Episode(Mapping[str, NDArray[Any]]):
         return {name: np.asarray(self._dataset(name)[index]) for name in names}
 
     def _per_frame_names(self) -> list[str]:
-        return [name for name in self if self._dataset(name).shape[:1] == (self.frames,)]
+        names = [name for name in self if self._dataset(name).shape[:1] == (self.frames,)]
+        # Images and clouds are linked under `obs/` once more, for readers that look there.
+        linked = {f"obs/{name.removeprefix('camera_obs/')}" for name in names if _is_linked(name)}
+        return [name for name in names if name not in linked]
 
     def _dataset(self, name: str) -> h5py.Dataset:
         item = self._open().get(name)
@@ -119,6 +115,19 @@ class Episode(Mapping[str, NDArray[Any]]):
     def __getstate__(self) -> dict[str, Any]:
         # Open files do not survive the way to another process.
         return {**self.__dict__, "_group": None}
+
+
+def _is_linked(name: str) -> bool:
+    return name.startswith("camera_obs/") or name == "point_cloud"
+
+
+def _numeric_arrays(group: h5py.Group, prefix: str = "") -> Iterator[str]:
+    """Paths of all numeric arrays; hard links under each of their names."""
+    for name, item in group.items():
+        if isinstance(item, h5py.Group):
+            yield from _numeric_arrays(item, f"{prefix}{name}/")
+        elif isinstance(item, h5py.Dataset) and item.dtype.kind in "fiub":
+            yield prefix + name
 
 
 def _read(path: Path) -> dict[str, Any]:

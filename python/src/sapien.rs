@@ -134,7 +134,8 @@ fn open_renderer<'py>(
     lighting.set_item("sun_rgb", scene.lighting.sun_rgb)?;
     lighting.set_item("sky_rgb", scene.lighting.sky_rgb)?;
     lighting.set_item("ground_rgb", scene.lighting.ground_rgb)?;
-    lighting.set_item("background_rgb", scene.lighting.background_rgb)?;
+    // As numbers: Python would take u8 for bytes.
+    lighting.set_item("background_rgb", scene.lighting.background_rgb.map(u32::from))?;
     py.import("akrobat.sapien_backend")?.getattr("SapienRenderer")?.call1((
         bodies,
         camera_list,

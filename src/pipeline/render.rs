@@ -108,11 +108,11 @@ pub struct RenderReport {
 pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderReport, Error> {
     let set = trajectory_file::read(&request.trajectories)?;
     let selected = selection(request, set.trajectories.len())?;
+    let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
     let search = context.asset_search(&request.assets)?;
     let task_path = task_path(&request.trajectories, &set);
     let task = load::task_from_text(set.header.task_toml.clone(), &task_path, &search)?;
     check_unchanged(&request.trajectories, &set, &task)?;
-    let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
     let backend = open_backend(request.backend, context)?;
     let scene = RenderScene::from_task(&task)?;
     let provenance = provenance(&set, &scene, backend.name(), request);
