@@ -43,6 +43,7 @@ pub struct ApproachPlanner<'a> {
 }
 
 /// Timed samples of both phases, without the first (home) and including the grasp.
+#[derive(Debug, Clone)]
 pub struct Approach {
     /// Where it starts.
     pub home: Vec<f64>,
@@ -151,6 +152,9 @@ impl ApproachPlanner<'_> {
                 x[1] += self.outward.y * out + self.outward.x * side;
                 x[2] += rng.random_range(-0.5..=0.5) * eagerness;
             }
+            // A folded arm may rest closer to the body than planning allows: later tries unfold it a little.
+            let unfold = 0.6 * attempt as f64 / HOME_TRIES as f64;
+            x[base..].iter_mut().for_each(|q| *q += rng.random_range(-1.0..=1.0) * unfold);
             self.kinematics.clamp(&mut x);
             self.free(&x, MovingCheck::All).then_some(x)
         })

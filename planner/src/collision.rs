@@ -4,7 +4,8 @@ use akrobat_model::Robot;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
 
-use crate::kinematics::{Kinematics, MAX_VARIABLES, NodeFrames, Variables};
+use crate::esdf::Esdf;
+use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables};
 use crate::spheres::{Sphere, SphereModel};
 use crate::world::World;
 
@@ -19,6 +20,8 @@ pub struct NodeSphere {
     pub radius: f64,
     /// Link, for reports and pair masks.
     pub link: usize,
+    /// Number of the link among those with spheres.
+    pub group: usize,
     /// Moves with the base only: stands on the floor.
     pub on_base: bool,
     /// Moves rigidly with the tool.
@@ -124,6 +127,16 @@ struct PairGroup {
     b: usize,
 }
 
+/// Which fields a link may touch.
+#[derive(Debug, Clone, Copy)]
+struct Near {
+    fixed: bool,
+    moving: bool,
+}
+
+/// Distance beyond which clearances are not told apart, metres.
+const FAR_M: f64 = 0.02;
+
 /// What is closest to a collision.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clearance {
@@ -211,6 +224,7 @@ impl RobotBody {
                     center: (attachment.node_from_link * center).coords,
                     radius: sphere.radius,
                     link,
+                    group: bounds.len(),
                     on_base: base_node == Some(node),
                     on_tool: tool_node == Some(node),
                 });
@@ -241,8 +255,8 @@ impl RobotBody {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Smallest clearance at a configuration, with the object's driven joint at `object_q`. Stops early
-    /// once something is closer than `enough`.
+    /// Smallest clearance at a configuration, with the object's driven joint at `object_q`; what is farther
+    /// than [`FAR_M`] may be left out. Stops early once something is closer than `enough`.
     pub fn clearance(
         &self,
         frames: &NodeFrames,
@@ -260,16 +274,18 @@ impl RobotBody {
         };
         let world_from_moved = world.joint.world_from_moved(object_q);
         let centers = self.centers(frames);
+        let near = self.near_obstacles(frames, world, &world_from_moved, enough.max(FAR_M));
         for (sphere, center) in self.spheres.iter().zip(&centers) {
-            let fixed = world.fixed.distance(center) - sphere.radius;
-            if note(fixed, sphere.link, Obstacle::Fixed) {
+            let near = near[sphere.group];
+            let fixed = || world.fixed.distance(center) - sphere.radius;
+            if near.fixed && note(fixed(), sphere.link, Obstacle::Fixed) {
                 return worst;
             }
             let floor = center.z - sphere.radius - world.floor_z;
             if !sphere.on_base && note(floor, sphere.link, Obstacle::Floor) {
                 return worst;
             }
-            if moving == MovingCheck::All || !sphere.on_tool {
+            if near.moving && (moving == MovingCheck::All || !sphere.on_tool) {
                 let local = world_from_moved.inverse_transform(center);
                 let distance = world.moving.distance(&local) - sphere.radius;
                 if note(distance, sphere.link, Obstacle::Moving) {
@@ -283,6 +299,29 @@ impl RobotBody {
             }
         }
         worst
+    }
+
+    /// For each link, whether its bounding sphere comes within `reach` of either field. Distances are
+    /// 1-Lipschitz; a voxel's diagonal is left for their interpolation.
+    fn near_obstacles(
+        &self,
+        frames: &NodeFrames,
+        world: &World,
+        world_from_moved: &Frame,
+        reach: f64,
+    ) -> Vec<Near> {
+        let spare = |field: &Esdf| reach + 2.0 * field.voxel_m();
+        self.bounds
+            .iter()
+            .map(|bound| {
+                let center = frames.frames[bound.node].transform(&bound.center);
+                let local = world_from_moved.inverse_transform(&center);
+                Near {
+                    fixed: world.fixed.distance(&center) < bound.radius + spare(&world.fixed),
+                    moving: world.moving.distance(&local) < bound.radius + spare(&world.moving),
+                }
+            })
+            .collect()
     }
 
     /// Sphere pairs of checked link pairs whose distance is below `reach`.
@@ -329,13 +368,23 @@ impl RobotBody {
     ) {
         let world_from_moved = world.joint.world_from_moved(x[object_variable]);
         let centers = self.centers(frames);
+        let near = self.near_obstacles(frames, world, &world_from_moved, margin);
         for (sphere, center) in self.spheres.iter().zip(&centers) {
             let reach = sphere.radius + margin;
-            let (distance, gradient) = world.fixed.distance_and_gradient(center);
-            if distance < reach {
-                let mut row = SVector::zeros();
-                kinematics.add_point_gradient(frames, sphere.node, center, &-gradient, &mut row);
-                out.add(reach - distance, &row);
+            let near = near[sphere.group];
+            if near.fixed {
+                let (distance, gradient) = world.fixed.distance_and_gradient(center);
+                if distance < reach {
+                    let mut row = SVector::zeros();
+                    kinematics.add_point_gradient(
+                        frames,
+                        sphere.node,
+                        center,
+                        &-gradient,
+                        &mut row,
+                    );
+                    out.add(reach - distance, &row);
+                }
             }
             if !sphere.on_base && center.z - world.floor_z < reach {
                 let mut row = SVector::zeros();
@@ -343,7 +392,7 @@ impl RobotBody {
                 kinematics.add_point_gradient(frames, sphere.node, center, &down, &mut row);
                 out.add(reach - (center.z - world.floor_z), &row);
             }
-            if !sphere.on_tool {
+            if near.moving && !sphere.on_tool {
                 let local = world_from_moved.inverse_transform(center);
                 let (distance, gradient) = world.moving.distance_and_gradient(&local);
                 if distance < reach {

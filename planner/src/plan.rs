@@ -1,6 +1,7 @@
 //! The planning run: composes the stages, deterministically for any number of threads.
 
 use std::collections::BTreeMap;
+use std::sync::OnceLock;
 use std::time::Instant;
 
 use akrobat_model::events::{Event, Observer};
@@ -25,7 +26,7 @@ use crate::ik::{self, SeedRegion, Tool};
 use crate::kinematics::{Frame, Kinematics};
 use crate::spheres::{self, SphereModel};
 use crate::trajopt::{Problem, Waypoints, smooth};
-use crate::world::{World, handle_center, outward};
+use crate::world::{World, handle_center, is_handle_part, outward};
 
 /// Pairs optimised between two looks at the limit: constant, so that results do not depend on threads.
 const BATCH: usize = 32;
@@ -86,21 +87,22 @@ impl Preparation {
     }
 }
 
-/// Each finger link with each handle part, and with that part's collision pieces.
+/// Each finger link with each part of the held link that belongs to the handle.
 fn contact_exceptions(task: &Task) -> Vec<ContactException> {
     let object = &task.object;
-    let parts: Vec<String> = if object.handle_parts.is_empty() {
-        vec!["*".into()]
-    } else {
-        object.handle_parts.iter().flat_map(|p| [p.clone(), format!("{p}_col*")]).collect()
-    };
+    let link = &object.tree.links()[object.handle_link];
+    let mut parts: Vec<&str> =
+        link.visuals.iter().chain(&link.collisions).map(|p| p.name.as_str()).collect();
+    parts.retain(|name| is_handle_part(object, name));
+    parts.sort_unstable();
+    parts.dedup();
     let mut out = Vec::new();
     for &finger in &task.robot.finger_links {
         for part in &parts {
             out.push(ContactException {
                 robot_link: task.robot.tree.links()[finger].name.clone(),
-                object_link: object.tree.links()[object.handle_link].name.clone(),
-                object_part: part.clone(),
+                object_link: link.name.clone(),
+                object_part: (*part).into(),
             });
         }
     }
@@ -176,6 +178,8 @@ struct Hold {
     closure: Closure,
     /// Clustered configurations of the AKR at the start.
     starts: Vec<Vec<f64>>,
+    /// The approach to each start, planned when it is first needed.
+    approaches: Vec<OnceLock<Result<Approach, &'static str>>>,
     /// Clustered configurations at each goal.
     goals: Vec<Vec<Vec<f64>>>,
 }
@@ -301,9 +305,11 @@ impl Run<'_> {
             body,
             closure,
             starts: Vec::new(),
+            approaches: Vec::new(),
             goals: Vec::new(),
         };
         hold.starts = self.configurations(world, &akr, &hold, task.file.goal.start, 0)?;
+        hold.approaches = hold.starts.iter().map(|_| OnceLock::new()).collect();
         if hold.starts.is_empty() {
             self.count("grasps/without_start", 1);
             return Ok(None);
@@ -366,7 +372,8 @@ impl Run<'_> {
             &self.preparation.self_pairs,
             &kinematics,
         );
-        let least = self.config.min_clearance_m;
+        // Half way to what optimisation aims at: a path that leaves here has room on all sides.
+        let least = f64::midpoint(self.config.min_clearance_m, self.config.clearance_m);
         let prefilter = |x: &[f64]| {
             self.base() == 0 || body.base_clearance(&kinematics.forward(x), world) > -0.05
         };
@@ -538,6 +545,16 @@ impl Run<'_> {
         let problem = self.problem(world, hold);
         let start = &hold.starts[pair.start];
         let fail = |reason| Outcome::Failed(reason, String::new());
+        let approach = match self.config.approach {
+            false => None,
+            true => {
+                let plan = || self.approach(world, hold, pair);
+                match hold.approaches[pair.start].get_or_init(plan) {
+                    Ok(approach) => Some(approach),
+                    Err(reason) => return fail(reason),
+                }
+            }
+        };
         let Some(mut waypoints) = problem.straight(start, &pair.goal) else {
             return fail("projection");
         };
@@ -567,14 +584,6 @@ impl Run<'_> {
             }
         }
         let seed = stage_seed(self.task, "pair", self.pair_number(pair));
-        let approach = if self.config.approach {
-            match self.approach(world, hold, &waypoints[0], seed) {
-                Ok(approach) => Some(approach),
-                Err(reason) => return fail(reason),
-            }
-        } else {
-            None
-        };
         let trajectory = self.trajectory(hold, pair, seed, &waypoints, &samples, approach);
         let verdict = judge(&trajectory);
         Outcome::Judged(Box::new(trajectory), verdict)
@@ -595,13 +604,9 @@ impl Run<'_> {
         })
     }
 
-    fn approach(
-        &self,
-        world: &World,
-        hold: &Hold,
-        first: &[f64],
-        seed: u64,
-    ) -> Result<Approach, &'static str> {
+    fn approach(&self, world: &World, hold: &Hold, pair: &Pair) -> Result<Approach, &'static str> {
+        let first = &hold.starts[pair.start];
+        let seed = stage_seed(self.task, "approach", (pair.hold << 16 | pair.start) as u64);
         let robot = &self.task.robot;
         let variables = [&robot.base_joints[..], &robot.arm_joints].concat();
         let kinematics =
@@ -635,7 +640,7 @@ impl Run<'_> {
         seed: u64,
         waypoints: &Waypoints,
         samples: &Waypoints,
-        approach: Option<Approach>,
+        approach: Option<&Approach>,
     ) -> Trajectory {
         let (robot, object) = (&self.task.robot, &self.task.object);
         let columns = robot.trajectory_joints();
