@@ -9,23 +9,59 @@ use serde_json::{Value, json};
 
 use super::Report;
 use crate::Error;
+use crate::pipeline::{self, BackendChoice, Context, ReportRequest};
+use crate::report::ReportOptions;
 
-/// Tell what is in a trajectory file.
+/// Tell what is in a trajectory file, and show it.
 ///
 /// Examples:
-///   akrobat inspect drawer.h5            counts, goals, worst values the judge found
-///   akrobat inspect drawer.h5 --json     the same, and every trajectory, for machines
+///   akrobat inspect drawer.h5                  counts, goals, worst values the judge found
+///   akrobat inspect drawer.h5 --json           the same, and every trajectory, for machines
+///   akrobat inspect drawer.h5 --report look/   a page with pictures and plots: look/report.html
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct InspectArgs {
     /// Trajectory file, as `akrobat plan` writes it.
     file: PathBuf,
+    /// Folder where a page is written, with animated pictures and models of some trajectories.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Trajectories with pictures, spread over the file.
+    #[arg(long, value_name = "N", requires = "report", default_value_t = ReportOptions::default().shown)]
+    show: usize,
+    /// Cameras of the pictures: a preset's name or a rig file.
+    #[arg(long, value_name = "NAME|FILE", requires = "report", default_value = "paper")]
+    rig: String,
+    /// Which renderer draws the pictures.
+    #[arg(long, value_enum, requires = "report", default_value_t)]
+    backend: BackendChoice,
+    /// Folder where assets are looked up, besides the task's own; may be repeated. Then come the folders
+    /// in $AKROBAT_ASSET_PATH (separated by colons).
+    #[arg(long, value_name = "DIR", requires = "report")]
+    assets: Vec<PathBuf>,
 }
 
 /// Runs the verb.
-pub fn run(args: &InspectArgs) -> Result<Report, Error> {
+pub fn run(args: &InspectArgs, context: &Context<'_>) -> Result<Report, Error> {
     let set = trajectory_file::read(&args.file)?;
-    Ok(Report::done(text(&args.file, &set), json(&set)))
+    let (mut text, mut json) = (text(&args.file, &set), json(&set));
+    if let Some(folder) = &args.report {
+        let files = pipeline::report(&report_request(args, folder), context)?;
+        text += &format!("\n  page    {}", files[0].display());
+        json["report"] = json!(files);
+    }
+    Ok(Report::done(text, json))
+}
+
+fn report_request(args: &InspectArgs, folder: &Path) -> ReportRequest {
+    ReportRequest {
+        trajectories: args.file.clone(),
+        output: folder.to_path_buf(),
+        assets: args.assets.clone(),
+        backend: args.backend,
+        rig: Some(args.rig.clone()),
+        options: ReportOptions { shown: args.show, ..ReportOptions::default() },
+    }
 }
 
 fn text(file: &Path, set: &TrajectorySet) -> String {

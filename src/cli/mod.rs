@@ -90,7 +90,7 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Plan(args) => plan::run(args, context),
         Command::Render(args) => render::run(args, context),
         Command::Validate(args) => validate::run(args),
-        Command::Inspect(args) => inspect::run(args),
+        Command::Inspect(args) => inspect::run(args, context),
         Command::Schema(args) => schema::run(args),
     }
 }

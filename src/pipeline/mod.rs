@@ -2,6 +2,7 @@
 
 mod plan;
 mod render;
+mod report;
 
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,7 @@ use crate::{Error, Host};
 
 pub use plan::{PlanReport, PlanRequest, plan};
 pub use render::{BackendChoice, Format, RenderReport, RenderRequest, render};
+pub use report::{ReportRequest, report};
 
 /// Folders of assets, separated like those of `PATH`.
 pub const ASSET_PATH_VARIABLE: &str = "AKROBAT_ASSET_PATH";

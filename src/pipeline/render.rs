@@ -316,13 +316,17 @@ fn selection(request: &RenderRequest, count: usize) -> Result<Vec<usize>, Error>
 }
 
 /// Where the task file stood: the trajectory file carries its text, and its folder relative to itself.
-fn task_path(trajectories: &Path, set: &TrajectorySet) -> PathBuf {
+pub(super) fn task_path(trajectories: &Path, set: &TrajectorySet) -> PathBuf {
     let file = format!("{}.toml", set.header.task_name);
     folder_of(trajectories).join(&set.header.task_dir).join(file)
 }
 
 /// Replaying on other files than were planned with would show what was never judged.
-fn check_unchanged(trajectories: &Path, set: &TrajectorySet, task: &Task) -> Result<(), Error> {
+pub(super) fn check_unchanged(
+    trajectories: &Path,
+    set: &TrajectorySet,
+    task: &Task,
+) -> Result<(), Error> {
     let planned = &set.header.content_hashes;
     let changed: Vec<&str> = planned
         .iter()
@@ -340,13 +344,16 @@ fn check_unchanged(trajectories: &Path, set: &TrajectorySet, task: &Task) -> Res
 }
 
 /// A preset by its name, else a file.
-fn load_rig(name: &str) -> Result<Rig, Error> {
+pub(super) fn load_rig(name: &str) -> Result<Rig, Error> {
     let is_file = name.ends_with(".toml") || Path::new(name).components().count() > 1;
     let rig = if is_file { Rig::load(Path::new(name)) } else { Rig::preset(name) };
     rig.map_err(|error| Error::Render(error.into()))
 }
 
-fn open_backend(choice: BackendChoice, context: &Context<'_>) -> Result<Box<dyn Backend>, Error> {
+pub(super) fn open_backend(
+    choice: BackendChoice,
+    context: &Context<'_>,
+) -> Result<Box<dyn Backend>, Error> {
     use akrobat_gpu::AdapterChoice;
     match choice {
         BackendChoice::Soft => Ok(Box::new(SoftBackend::new())),

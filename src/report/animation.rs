@@ -171,9 +171,11 @@ mod tests {
         assert_eq!(decoded.len(), frames.len());
         for (frame, original) in decoded.iter().zip(&frames) {
             assert_eq!(frame.delay().numer_denom_ms(), (100, 1));
-            let worst = frame.buffer().pixels().zip(original.pixels()).map(|(a, b)| {
-                largest_difference([a[0], a[1], a[2]], b.0)
-            });
+            let worst = frame
+                .buffer()
+                .pixels()
+                .zip(original.pixels())
+                .map(|(a, b)| largest_difference([a[0], a[1], a[2]], b.0));
             let mean = worst.map(f64::from).sum::<f64>() / f64::from(64 * 32);
             assert!(mean < 6.0, "mean difference {mean}");
         }

@@ -63,7 +63,9 @@ impl Chart {
         let [width, height] = self.size;
         let bottom = BOTTOM + if self.x_label.is_empty() { 0.0 } else { 14.0 };
         let (x_range, y_range) = (self.x_range(), self.y_range());
-        let x = |value: f64| LEFT + (value - x_range[0]) / (x_range[1] - x_range[0]) * (width - LEFT - RIGHT);
+        let x = |value: f64| {
+            LEFT + (value - x_range[0]) / (x_range[1] - x_range[0]) * (width - LEFT - RIGHT)
+        };
         let scale = |value: f64| if self.logarithmic { value.max(1e-300).log10() } else { value };
         let [low, high] = y_range.map(scale);
         let y = |value: f64| {

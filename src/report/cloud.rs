@@ -97,8 +97,11 @@ mod tests {
 
     /// Where the opaque pixels of a colour lie on average, `[u, v]`.
     fn center(picture: &RgbaImage, is: fn(&image::Rgba<u8>) -> bool) -> [f64; 2] {
-        let hits: Vec<(u32, u32)> =
-            picture.enumerate_pixels().filter(|(.., p)| p[3] > 0 && is(p)).map(|(u, v, _)| (u, v)).collect();
+        let hits: Vec<(u32, u32)> = picture
+            .enumerate_pixels()
+            .filter(|(.., p)| p[3] > 0 && is(p))
+            .map(|(u, v, _)| (u, v))
+            .collect();
         let mean = |of: fn(&(u32, u32)) -> u32| {
             hits.iter().map(|hit| f64::from(of(hit))).sum::<f64>() / hits.len() as f64
         };

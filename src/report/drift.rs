@@ -39,8 +39,8 @@ pub fn anchor_drift(task: &Task, trajectory: &Trajectory) -> Result<Vec<Drift>, 
     let drift = |time_s: f64| {
         let state = trajectory.dense.sample(time_s);
         let q = robot.configuration(&state.robot);
-        let world_from_tool =
-            robot.tree.link_poses(&robot.world_from_root, &q)[robot.tool_link] * robot.link_from_tool;
+        let world_from_tool = robot.tree.link_poses(&robot.world_from_root, &q)[robot.tool_link]
+            * robot.link_from_tool;
         let world_from_grasp = object.tree.link_poses(&object.world_from_root, &state.object)[held]
             * trajectory.grasp.link_from_tool;
         let grasp_from_tool = world_from_grasp.inv_mul(&world_from_tool);

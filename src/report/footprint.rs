@@ -1,7 +1,7 @@
 //! The map of base positions, seen from above.
 
 use akrobat_model::task::Task;
-use akrobat_model::{Pose, TriMesh, TrajectorySet};
+use akrobat_model::{Pose, TrajectorySet, TriMesh};
 use akrobat_renderer::replay::{Replay, base_link};
 use akrobat_renderer::{BodyGroup, FrameState, RenderScene};
 use maud::{Markup, html};
@@ -82,7 +82,12 @@ fn track(replay: &Replay<'_>, set: &TrajectorySet, index: usize, shown: bool) ->
         shown,
         start: stance(*samples.start()),
         goal: stance(*samples.end()),
-        way: samples.clone().step_by(5).chain([*samples.end()]).map(|s| stance(s).position).collect(),
+        way: samples
+            .clone()
+            .step_by(5)
+            .chain([*samples.end()])
+            .map(|s| stance(s).position)
+            .collect(),
     }
 }
 
@@ -165,9 +170,11 @@ struct Map {
 
 impl Map {
     fn around(points: impl Iterator<Item = Point2<f64>>) -> Self {
-        let empty = [Point2::new(f64::INFINITY, f64::INFINITY), Point2::new(f64::NEG_INFINITY, f64::NEG_INFINITY)];
-        let [low, high] =
-            points.fold(empty, |[low, high], p| [low.inf(&p), high.sup(&p)]);
+        let empty = [
+            Point2::new(f64::INFINITY, f64::INFINITY),
+            Point2::new(f64::NEG_INFINITY, f64::NEG_INFINITY),
+        ];
+        let [low, high] = points.fold(empty, |[low, high], p| [low.inf(&p), high.sup(&p)]);
         if low.x > high.x {
             return Self { low: Point2::new(-1.0, -1.0), high: Point2::new(1.0, 1.0) };
         }
@@ -244,7 +251,8 @@ impl Map {
     /// A dot with a stroke that points where the base does.
     fn marker(&self, stance: &Stance, class: &str) -> Markup {
         let [x, y] = self.at(&stance.position);
-        let tip = stance.position + 0.16 * nalgebra::Vector2::new(stance.yaw.cos(), stance.yaw.sin());
+        let tip =
+            stance.position + 0.16 * nalgebra::Vector2::new(stance.yaw.cos(), stance.yaw.sin());
         let [tip_x, tip_y] = self.at(&tip);
         html! {
             line.heading x1=(px(x)) y1=(px(y)) x2=(px(tip_x)) y2=(px(tip_y)) {}

@@ -178,11 +178,15 @@ impl Document {
                     json!({ "componentType": FLOAT, "type": kind, "count": poses.len() }),
                     None,
                 );
-                channels.push(json!({ "sampler": samplers.len(), "target": { "node": node, "path": path } }));
-                samplers.push(json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
+                channels.push(
+                    json!({ "sampler": samplers.len(), "target": { "node": node, "path": path } }),
+                );
+                samplers
+                    .push(json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
             }
         }
-        self.animations.push(json!({ "name": "trajectory", "channels": channels, "samplers": samplers }));
+        self.animations
+            .push(json!({ "name": "trajectory", "channels": channels, "samplers": samplers }));
     }
 
     /// Stores content and describes it; returns the accessor's number.
@@ -203,7 +207,8 @@ impl Document {
     fn into_glb(mut self) -> Vec<u8> {
         let root = self.nodes.len();
         let children: Vec<usize> = (0..root).collect();
-        self.nodes.push(json!({ "name": "world", "rotation": Y_UP_FROM_Z_UP, "children": children }));
+        self.nodes
+            .push(json!({ "name": "world", "rotation": Y_UP_FROM_Z_UP, "children": children }));
         let mut document = json!({
             "asset": { "version": "2.0", "generator": concat!("akrobat ", env!("CARGO_PKG_VERSION")) },
             "scene": 0,
@@ -407,7 +412,8 @@ mod tests {
                 }
                 ReadOutputs::Rotations(values) => {
                     let values: Vec<[f32; 4]> = values.into_f32().collect();
-                    let along = |pair: &[[f32; 4]]| (0..4).map(|i| pair[0][i] * pair[1][i]).sum::<f32>();
+                    let along =
+                        |pair: &[[f32; 4]]| (0..4).map(|i| pair[0][i] * pair[1][i]).sum::<f32>();
                     assert!(values.windows(2).all(|pair| along(pair) > 0.9));
                 }
                 _ => panic!("unexpected channel"),

@@ -89,7 +89,8 @@ fn sections(input: &ReportInput<'_>) -> Vec<(&'static str, &'static str)> {
 fn facts(input: &ReportInput<'_>) -> Markup {
     let header = &input.set.header;
     let trajectories = &input.set.trajectories;
-    let accepted = trajectories.iter().filter(|t| t.verdict.as_ref().is_some_and(Verdict::accepted));
+    let accepted =
+        trajectories.iter().filter(|t| t.verdict.as_ref().is_some_and(Verdict::accepted));
     let mut grasps: Vec<u32> = trajectories.iter().map(|t| t.grasp.id).collect();
     grasps.sort_unstable();
     grasps.dedup();
@@ -223,22 +224,24 @@ fn joint_charts(input: &ReportInput<'_>, trajectory: &Trajectory, index: usize) 
     let tree = &input.task.robot.tree;
     let dense = &trajectory.dense;
     let bands = phase_bands(trajectory);
-    let chart = |name: &str, values: &dyn Fn(usize) -> f64, limits: Option<[f64; 2]>, color: String| {
-        let step = (dense.len() / PLOT_POINTS).max(1);
-        let samples = (0..dense.len()).step_by(step).chain(dense.len().checked_sub(1));
-        let points = samples.map(|k| [dense.times_s[k], values(k)]).collect();
-        let level = |y: f64| Level { y, name: "limit".into() };
-        Chart {
-            title: name.to_owned(),
-            size: [320.0, 132.0],
-            bands: bands.clone(),
-            series: vec![Series { points, color }],
-            levels: limits.into_iter().flatten().filter(|y| y.is_finite()).map(level).collect(),
-            ..Chart::default()
-        }
-    };
+    let chart =
+        |name: &str, values: &dyn Fn(usize) -> f64, limits: Option<[f64; 2]>, color: String| {
+            let step = (dense.len() / PLOT_POINTS).max(1);
+            let samples = (0..dense.len()).step_by(step).chain(dense.len().checked_sub(1));
+            let points = samples.map(|k| [dense.times_s[k], values(k)]).collect();
+            let level = |y: f64| Level { y, name: "limit".into() };
+            Chart {
+                title: name.to_owned(),
+                size: [320.0, 132.0],
+                bands: bands.clone(),
+                series: vec![Series { points, color }],
+                levels: limits.into_iter().flatten().filter(|y| y.is_finite()).map(level).collect(),
+                ..Chart::default()
+            }
+        };
     let mut charts = Vec::new();
-    if let Some(column) = header.object_joints.iter().position(|name| *name == header.active_joint) {
+    if let Some(column) = header.object_joints.iter().position(|name| *name == header.active_joint)
+    {
         let value = |k: usize| f64::from(dense.object.row(k)[column]);
         let limits = input.task.object.tree.joints()[input.task.object.active_joint].limits;
         let name = format!("{} (object)", header.active_joint);
@@ -256,7 +259,11 @@ fn joint_charts(input: &ReportInput<'_>, trajectory: &Trajectory, index: usize) 
 fn phase_bands(trajectory: &Trajectory) -> Vec<Band> {
     phase_runs(trajectory)
         .into_iter()
-        .map(|(phase, range)| Band { range, class: phase_class(phase), name: phase_name(phase).into() })
+        .map(|(phase, range)| Band {
+            range,
+            class: phase_class(phase),
+            name: phase_name(phase).into(),
+        })
         .collect()
 }
 
@@ -500,7 +507,8 @@ fn licence_section(input: &ReportInput<'_>) -> Markup {
         (robot.name.as_str(), robot.file.license.as_str(), robot.file.source.as_str()),
         (input.task.object.name.as_str(), object.license.as_str(), ""),
     ];
-    let stated = |text: &str| if text.is_empty() { "not stated".to_owned() } else { text.to_owned() };
+    let stated =
+        |text: &str| if text.is_empty() { "not stated".to_owned() } else { text.to_owned() };
     html! {
         section #licences {
             h2 { "Licences of what is seen" }

@@ -25,7 +25,10 @@ const NOTHING: [u8; 3] = [0, 0, 0];
 
 /// An address that holds the content itself.
 pub fn data_uri(media_type: &str, content: &[u8]) -> String {
-    format!("data:{media_type};base64,{}", base64::engine::general_purpose::STANDARD.encode(content))
+    format!(
+        "data:{media_type};base64,{}",
+        base64::engine::general_purpose::STANDARD.encode(content)
+    )
 }
 
 /// A JPEG as an address.

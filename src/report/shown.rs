@@ -8,7 +8,8 @@ use akrobat_model::{Phase, Pose, Trajectory};
 use akrobat_renderer::pointcloud::{CloudConfig, fuse};
 use akrobat_renderer::replay::{FRAME_RATE_HZ, Replay};
 use akrobat_renderer::{
-    Backend, BodyGroup, Episode, EpisodeConfig, EpisodeRenderer, FrameState, RenderBody, RenderScene,
+    Backend, BodyGroup, Episode, EpisodeConfig, EpisodeRenderer, FrameState, RenderBody,
+    RenderScene,
 };
 use image::RgbImage;
 use nalgebra::{Point3, Vector3};
@@ -152,10 +153,7 @@ fn strip(observation: &Observation) -> RgbImage {
     strip
 }
 
-fn camera_sheets(
-    kept: &[Observation],
-    labels: &[SegmentLabel],
-) -> Result<Vec<CameraSheet>, Error> {
+fn camera_sheets(kept: &[Observation], labels: &[SegmentLabel]) -> Result<Vec<CameraSheet>, Error> {
     let Some(first) = kept.first() else { return Ok(Vec::new()) };
     let sheet = |camera: usize| -> Result<CameraSheet, Error> {
         let frames = || kept.iter().map(move |observation| &observation.cameras[camera]);
@@ -273,11 +271,11 @@ fn encloses(body: &RenderBody) -> bool {
 
 /// Least distance of the way from the body's box in its own frame, metres.
 fn distance(body: &RenderBody, world_from_body: &Pose, way: &[Point3<f64>]) -> f64 {
-    let bounds: Vec<_> = body.meshes.iter().map(Arc::as_ref).filter_map(akrobat_model::TriMesh::bounds).collect();
+    let bounds: Vec<_> =
+        body.meshes.iter().map(Arc::as_ref).filter_map(akrobat_model::TriMesh::bounds).collect();
     let to_box = |point: &Point3<f64>, (low, high): &([f32; 3], [f32; 3])| {
-        let beyond = |i: usize| {
-            (f64::from(low[i]) - point[i]).max(point[i] - f64::from(high[i])).max(0.0)
-        };
+        let beyond =
+            |i: usize| (f64::from(low[i]) - point[i]).max(point[i] - f64::from(high[i])).max(0.0);
         Vector3::new(beyond(0), beyond(1), beyond(2)).norm()
     };
     way.iter()

@@ -57,10 +57,7 @@ fn key(position: &Vector3<f32>, normal: &Vector3<f32>, cell_m: f32) -> Key {
     // Finer where nothing is merged but equal vertices.
     let steps = if cell_m > 0.0 { 1.0 } else { 60.0 };
     let direction = |v: f32| (v * steps).round() as i8;
-    (
-        [position.x, position.y, position.z].map(place),
-        [normal.x, normal.y, normal.z].map(direction),
-    )
+    ([position.x, position.y, position.z].map(place), [normal.x, normal.y, normal.z].map(direction))
 }
 
 /// Leaves out vertices that no triangle uses.
