@@ -1,5 +1,7 @@
 //! The command line as a process: exit codes, messages, machine-readable output.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use assert_cmd::Command;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
