@@ -60,14 +60,14 @@ def test_datasets_map_samples_to_arrays(drawer_dataset: akrobat.Dataset) -> None
     np.testing.assert_array_equal(copy[0]["actions"], drawer_dataset[0]["actions"])
     with pytest.raises(IndexError):
         drawer_dataset[len(drawer_dataset)]
-    with pytest.raises(akrobat.InputError, match="valid choices: .*actions"):
+    with pytest.raises(akrobat.InputError, match=r"valid choices: .*actions"):
         drawer_dataset.episodes[0]["no_such_array"]
 
 
 def test_errors_name_the_file_and_the_choices(tmp_path: Path, drawer_file: Path) -> None:
     with pytest.raises(akrobat.InputError, match=r"missing\.toml"):
         akrobat.plan(tmp_path / "missing.toml")
-    with pytest.raises(akrobat.InputError, match="valid choices: .*soft"):
+    with pytest.raises(akrobat.InputError, match=r"valid choices: .*soft"):
         akrobat.render(drawer_file, tmp_path / "out", backend="crayons")  # type: ignore[arg-type]
     with pytest.raises(akrobat.InputError, match="paper"):
         akrobat.render(drawer_file, tmp_path / "out", rig="no_such_rig")
