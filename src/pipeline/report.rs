@@ -3,13 +3,15 @@
 use std::path::PathBuf;
 
 use akrobat_model::load;
+use akrobat_model::task::Task;
 use akrobat_packager::trajectory_file;
+use akrobat_planner::spheres;
 
 use super::BackendChoice;
 use super::Context;
 use super::render::{check_unchanged, load_rig, open_backend, task_path};
 use crate::Error;
-use crate::report::{self, ReportInput, ReportOptions};
+use crate::report::{self, ReportInput, ReportOptions, RunDetails};
 
 /// What is to be shown.
 #[derive(Debug, Clone, Default)]
@@ -41,7 +43,21 @@ pub fn report(request: &ReportRequest, context: &Context<'_>) -> Result<Vec<Path
     check_unchanged(&request.trajectories, &set, &task)?;
     let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
     let mut backend = open_backend(request.backend, context)?;
-    let input = ReportInput { task: &task, set: &set, rig: &rig, run: None };
+    let run = known_again(&task)?;
+    let input = ReportInput { task: &task, set: &set, rig: &rig, run: Some(&run) };
     let (folder, options) = (&request.output, &request.options);
     report::write(folder, &input, options, backend.as_mut(), context.observer)
+}
+
+/// What follows from the task alone, so that it need not be kept: how well the spheres fit, and what
+/// loading noted.
+fn known_again(task: &Task) -> Result<RunDetails, Error> {
+    let robot = &task.robot;
+    let spheres = spheres::of_robot(robot, robot.spheres_path.as_deref())?;
+    let notes = robot.notes.iter().chain(&task.object.notes).chain(&task.scene.notes);
+    Ok(RunDetails {
+        sphere_fits: spheres.fits,
+        notes: notes.cloned().collect(),
+        ..RunDetails::default()
+    })
 }

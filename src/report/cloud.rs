@@ -2,15 +2,17 @@
 
 use akrobat_cameras::CloudPoint;
 use image::RgbaImage;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Size of the pictures, pixels.
 const WIDTH: u32 = 420;
 const HEIGHT: u32 = 315;
 /// Radius of a point, pixels.
 const RADIUS: f64 = 2.3;
-/// Share of the points on either side that does not decide what fits into the picture.
-const OUTLIERS: f64 = 0.02;
+/// Points within this distance of the centre of interest decide what fits into the picture, metres.
+const FOCUS_M: f64 = 1.5;
+/// Share of these points on either side that does not.
+const OUTLIERS: f64 = 0.01;
 
 /// A direction to look from.
 #[derive(Debug, Clone, Copy)]
@@ -31,8 +33,13 @@ pub const VIEWS: [View; 3] = [
 ];
 
 /// Draws a cloud on a transparent ground. `outward_rad` is the heading (about z) of the direction out
-/// of the object, from which angles count.
-pub fn draw(cloud: &[CloudPoint], view: &View, outward_rad: f64) -> RgbaImage {
+/// of the object, from which angles count; `center` is what the picture is about, in the cloud's frame.
+pub fn draw(
+    cloud: &[CloudPoint],
+    view: &View,
+    outward_rad: f64,
+    center: &Point3<f64>,
+) -> RgbaImage {
     let mut picture = RgbaImage::new(WIDTH, HEIGHT);
     let view_from_world = rotation(view, outward_rad);
     let position = |p: &CloudPoint| Vector3::new(p[0], p[1], p[2]).map(f64::from);
@@ -40,8 +47,10 @@ pub fn draw(cloud: &[CloudPoint], view: &View, outward_rad: f64) -> RgbaImage {
         .iter()
         .map(|p| (view_from_world * position(p), [p[3] as u8, p[4] as u8, p[5] as u8]))
         .collect();
+    let center = view_from_world * center.coords;
+    let in_focus = points.iter().map(|(p, _)| p).filter(|p| (*p - center).norm() <= FOCUS_M);
     let [(left, right), (bottom, top), (back, front)] =
-        [0, 1, 2].map(|axis| central_range(points.iter().map(|(p, _)| p[axis])));
+        [0, 1, 2].map(|axis| central_range(in_focus.clone().map(|p| p[axis])));
     let scale = (f64::from(WIDTH) / (right - left).max(0.1))
         .min(f64::from(HEIGHT) / (top - bottom).max(0.1))
         * 0.94;
@@ -113,7 +122,7 @@ mod tests {
 
     #[test]
     fn the_view_from_above_has_the_outward_direction_at_the_bottom() {
-        let picture = draw(&[RED, GREEN], &VIEWS[0], 0.0);
+        let picture = draw(&[RED, GREEN], &VIEWS[0], 0.0, &Point3::origin());
         let (red, green) = (center(&picture, |p| p[0] > 99), center(&picture, |p| p[1] > 99));
         assert!(red[1] > green[1] + 50.0, "red at {red:?}, green at {green:?}");
         assert!(red[0] < green[0] - 50.0, "red at {red:?}, green at {green:?}");
@@ -124,13 +133,13 @@ mod tests {
         let below = [0.0, 0.0, 0.0, 0.0, 255.0, 0.0];
         let above = [0.0, 0.0, 1.0, 255.0, 0.0, 0.0];
         for cloud in [[below, above], [above, below]] {
-            let picture = draw(&cloud, &VIEWS[0], 0.3);
+            let picture = draw(&cloud, &VIEWS[0], 0.3, &Point3::origin());
             assert_eq!(picture.get_pixel(WIDTH / 2, HEIGHT / 2).0[..3], [255, 0, 0]);
         }
     }
 
     #[test]
     fn an_empty_cloud_gives_an_empty_picture() {
-        assert!(draw(&[], &VIEWS[1], 0.0).pixels().all(|pixel| pixel[3] == 0));
+        assert!(draw(&[], &VIEWS[1], 0.0, &Point3::origin()).pixels().all(|pixel| pixel[3] == 0));
     }
 }

@@ -46,7 +46,7 @@ pub struct ReportInput<'a> {
     pub run: Option<&'a RunDetails>,
 }
 
-/// What a trajectory file does not keep of a planning run.
+/// What a trajectory file does not keep of a planning run. What is empty is left out of the page.
 #[derive(Debug, Clone, Default)]
 pub struct RunDetails {
     /// Wall time by stage, seconds.
@@ -151,6 +151,11 @@ fn save(path: &Path, content: &[u8]) -> Result<PathBuf, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use akrobat_model::events::Silent;
+    use akrobat_model::load::{self, AssetSearch};
+    use akrobat_model::trajectory::{DensePath, Grasp, TrajectoryHeader};
+    use akrobat_model::{JointPath, Phase, Pose, Trajectory};
+    use akrobat_renderer::SoftBackend;
 
     #[test]
     fn shown_trajectories_are_spread() {
@@ -158,5 +163,138 @@ mod tests {
         assert_eq!(spread(2, 3), [0, 1]);
         assert_eq!(spread(5, 1), [0]);
         assert!(spread(0, 3).is_empty());
+    }
+
+    /// The drawer slides open on its own while the robot stands still.
+    fn untouched_drawer(task: &Task) -> TrajectorySet {
+        let (robot, object) = (&task.robot, &task.object);
+        let columns = robot.trajectory_joints();
+        let row: Vec<f64> =
+            columns.iter().map(|&joint| robot.tree.joint_position(joint, &robot.rest)).collect();
+        let mut dense = DensePath {
+            robot: JointPath::new(row.len()),
+            object: JointPath::new(object.tree.dof()),
+            ..DensePath::default()
+        };
+        for k in 0..30 {
+            let open = object.configuration(0.01 * f64::from(k));
+            dense.push(0.02 * f64::from(k), row.iter().copied(), open, Phase::Manipulate);
+        }
+        let trajectory = Trajectory {
+            id: "<b>id</b>".into(),
+            seed: 1,
+            grasp: Grasp {
+                id: 0,
+                link: object.tree.links()[object.handle_link].name.clone(),
+                link_from_tool: Pose::identity(),
+                width_m: 0.02,
+            },
+            start: 0.0,
+            goal: 0.29,
+            waypoints_robot: dense.robot.clone(),
+            waypoints_object: dense.object.clone(),
+            waypoint_interval_s: 0.02,
+            manipulation_start: 0,
+            substeps: 1,
+            dense,
+            verdict: None,
+        };
+        let names = object.tree.dof_joints().iter().map(|&j| object.tree.joints()[j].name.clone());
+        let header = TrajectoryHeader {
+            task_toml: String::new(),
+            task_dir: String::new(),
+            task_name: "<script>alert(1)</script>".into(),
+            scene_id: task.scene.name.clone(),
+            object_id: object.name.clone(),
+            robot_id: robot.name.clone(),
+            base_kind: robot.file.base.kind,
+            content_hashes: BTreeMap::new(),
+            robot_joints: robot.trajectory_joint_names(),
+            object_joints: names.collect(),
+            active_joint: object.tree.joints()[object.active_joint].name.clone(),
+            contact_exceptions: Vec::new(),
+            seed: 1,
+            planner_config: serde_json::Value::Null,
+            backend: "cpu".into(),
+            counts: BTreeMap::from([("rejected/anchor_translation".into(), 7)]),
+        };
+        TrajectorySet { header, trajectories: vec![trajectory] }
+    }
+
+    fn drawer_task() -> Option<Task> {
+        let search = AssetSearch { folders: vec![akrobat_model::fixtures::shared_assets()?] };
+        let file =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tasks/summit_drawer_empty.toml");
+        Some(load::task(&file, &search).unwrap())
+    }
+
+    #[test]
+    fn the_page_of_a_real_task_needs_nothing_else() {
+        let Some(task) = drawer_task() else { return };
+        let set = untouched_drawer(&task);
+        let run = RunDetails {
+            stage_seconds: BTreeMap::from([("grasps".into(), 1.5)]),
+            sphere_fits: Vec::new(),
+            notes: vec!["a < b".into()],
+        };
+        let rig = Rig::preset("paper").unwrap();
+        let input = ReportInput { task: &task, set: &set, rig: &rig, run: Some(&run) };
+        let folder = tempfile::tempdir().unwrap();
+        let written = ["a", "b"].map(|name| {
+            let (options, mut backend) = (ReportOptions::default(), SoftBackend::new());
+            write(&folder.path().join(name), &input, &options, &mut backend, &Silent).unwrap()
+        });
+        for (a, b) in written[0].iter().zip(&written[1]) {
+            assert!(
+                std::fs::read(a).unwrap() == std::fs::read(b).unwrap(),
+                "{} differs",
+                a.display()
+            );
+        }
+        let page = std::fs::read_to_string(&written[0][0]).unwrap();
+        assert!(!page.contains("<script>alert") && !page.contains("<b>id"), "names are escaped");
+        for attribute in ["src=\"", "href=\""] {
+            let addresses = page.split(attribute).skip(1);
+            for address in addresses {
+                let inside = address.starts_with("data:") || address.starts_with('#');
+                assert!(inside, "{attribute}{}", &address[..address.len().min(60)]);
+            }
+        }
+        let names = ["Anchor drift", "anchor_translation", "a &lt; b", "1.50 s", "manipulate"];
+        for name in names {
+            assert!(page.contains(name), "{name} is missing");
+        }
+    }
+
+    #[test]
+    fn the_model_of_a_real_task_opens_its_drawer() {
+        let Some(task) = drawer_task() else { return };
+        let set = untouched_drawer(&task);
+        let scene = RenderScene::from_task(&task).unwrap();
+        let bytes = shown::model(&task, &scene, &set.trajectories[0], 4_000_000);
+        assert!(bytes.len() < 5_000_000, "{} bytes", bytes.len());
+        let file = gltf::Gltf::from_slice(&bytes).unwrap();
+        let animation = file.animations().next().unwrap();
+        let blob = file.blob.as_deref().unwrap();
+        let mut moving = std::collections::BTreeSet::new();
+        for channel in animation.channels() {
+            moving.insert(channel.target().node().name().unwrap().to_owned());
+            let inputs: Vec<f32> = channel.reader(|_| Some(blob)).read_inputs().unwrap().collect();
+            assert_eq!(inputs.first(), Some(&0.0));
+            assert!((inputs[inputs.len() - 1] - 0.58).abs() < 1e-6, "30 samples of 20 ms");
+        }
+        assert_eq!(moving.into_iter().collect::<Vec<_>>(), ["object/link_1"]);
+        assert!(file.nodes().any(|node| node.name() == Some("robot/panda_hand")));
+    }
+
+    #[test]
+    fn drift_tells_that_nothing_is_held() {
+        let Some(task) = drawer_task() else { return };
+        let trajectory = &untouched_drawer(&task).trajectories[0];
+        let drift = drift::anchor_drift(&task, trajectory).unwrap();
+        let (first, last) = (drift[0], drift[drift.len() - 1]);
+        assert_eq!((first.progress, last.progress), (0.0, 1.0));
+        let farthest = drift.iter().map(|d| d.translation_m).fold(0.0, f64::max);
+        assert!(farthest > 0.29, "the drawer moved 0.29 m away from or past the tool: {farthest}");
     }
 }

@@ -79,8 +79,13 @@ fn sections(input: &ReportInput<'_>) -> Vec<(&'static str, &'static str)> {
         ("verdicts", "Verdicts"),
         ("counts", "Counts"),
     ];
-    if input.run.is_some() {
-        all.extend([("timing", "Timing"), ("spheres", "Spheres"), ("notes", "Notes")]);
+    if let Some(run) = input.run {
+        let optional = [
+            (run.stage_seconds.is_empty(), ("timing", "Timing")),
+            (run.sphere_fits.is_empty(), ("spheres", "Spheres")),
+            (run.notes.is_empty(), ("notes", "Notes")),
+        ];
+        all.extend(optional.into_iter().filter(|(empty, _)| !empty).map(|(_, section)| section));
     }
     all.push(("licences", "Licences"));
     all
@@ -193,7 +198,7 @@ fn contact_sheet(panel: &Shown) -> Markup {
             }
         }
         p.note {
-            "Rows: colour, depth (black where nothing is seen), segments: "
+            "Rows: colour, depth (logarithmic; black where nothing is seen), segments: "
             span.swatch style="background:#d9603b" {} "robot, "
             span.swatch style="background:#3fae5a" {} "object, "
             span.swatch style="background:#7d97b5" {} "scene."
@@ -457,7 +462,7 @@ fn counts_section(counts: &BTreeMap<String, u64>) -> Markup {
         section #counts {
             h2 { "Counts and rejections" }
             @if counts.is_empty() { p.empty { "The file holds no counts." } }
-            div.groups { @for (group, rows) in &groups {
+            div.groups { @for (group, rows) in &in_order(groups) {
                 div.card { h3 { (group) }
                     table.bars { tbody { @for (name, count) in rows {
                         tr { th { (name) } td { (thousands(*count)) }
@@ -471,18 +476,32 @@ fn counts_section(counts: &BTreeMap<String, u64>) -> Markup {
     }
 }
 
+/// Groups of counts in the order of the stages; those of no known stage before the outcome.
+fn in_order<V>(groups: BTreeMap<&str, V>) -> Vec<(&str, V)> {
+    const FIRST: [&str; 3] = ["grasps", "ik", "pairs"];
+    const LAST: [&str; 3] = ["failed", "rejected", "accepted"];
+    let rank = |group: &str| {
+        let first = FIRST.iter().position(|&known| known == group);
+        let last = LAST.iter().position(|&known| known == group);
+        first.or(last.map(|place| FIRST.len() + 1 + place)).unwrap_or(FIRST.len())
+    };
+    let mut ordered: Vec<(&str, V)> = groups.into_iter().collect();
+    ordered.sort_by_key(|(group, _)| rank(group));
+    ordered
+}
+
 fn run_sections(input: &ReportInput<'_>) -> Markup {
     let Some(run) = input.run else { return html! {} };
     let slowest = run.stage_seconds.values().copied().fold(1e-9, f64::max);
     html! {
-        section #timing {
+        @if !run.stage_seconds.is_empty() { section #timing {
             h2 { "Time by stage" }
             div.card { table.bars { tbody { @for (stage, &seconds) in &run.stage_seconds {
                 tr { th { (stage) } td { (format!("{seconds:.2} s")) }
                     td.bar { i style=(format!("width:{:.1}%", 100.0 * seconds / slowest)) {} } }
             } } } }
-        }
-        section #spheres {
+        } }
+        @if !run.sphere_fits.is_empty() { section #spheres {
             h2 { "Collision spheres" }
             div.scroll { table {
                 thead { tr { th.word { "link" } th { "spheres" } th { "coverage, %" } th { "protrusion, mm" } } }
@@ -492,12 +511,11 @@ fn run_sections(input: &ReportInput<'_>) -> Markup {
                 } } }
             } }
             p.note { "Coverage: share of the link's surface inside some sphere. Protrusion: how far a sphere reaches beyond it." }
-        }
-        section #notes {
+        } }
+        @if !run.notes.is_empty() { section #notes {
             h2 { "Notes" }
-            @if run.notes.is_empty() { p.empty { "None." } }
             ul.notes { @for note in &run.notes { li { (note) } } }
-        }
+        } }
     }
 }
 

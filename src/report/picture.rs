@@ -54,10 +54,12 @@ pub fn color(frame: &CameraFrame) -> RgbImage {
     painted(frame, |pixel| std::array::from_fn(|channel| frame.rgb[3 * pixel + channel]))
 }
 
-/// The depth image of a camera, bright where near; black where nothing is seen.
+/// The depth image of a camera, bright where near, by the logarithm of the depth; black where nothing is
+/// seen. Both ends of the range must be positive.
 pub fn depth(frame: &CameraFrame, [near_m, far_m]: [f32; 2]) -> RgbImage {
+    let span = (far_m / near_m).ln().max(1e-6);
     painted(frame, |pixel| match frame.depth_m[pixel] {
-        depth_m if depth_m > 0.0 => depth_color((depth_m - near_m) / (far_m - near_m).max(1e-6)),
+        depth_m if depth_m > 0.0 => depth_color((depth_m / near_m).ln() / span),
         _ => NOTHING,
     })
 }
@@ -90,7 +92,7 @@ pub fn segment_color(id: u16, labels: &[SegmentLabel]) -> [u8; 3] {
     let (hue, width) = match group {
         "robot" => (8.0, 44.0),
         "object" => (96.0, 70.0),
-        _ => (200.0, 70.0),
+        _ => (190.0, 46.0),
     };
     let hue = hue + width * spread(0.618_034);
     let (saturation, value) = match group {

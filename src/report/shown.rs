@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use akrobat_cameras::{Observation, SegmentLabel};
 use akrobat_model::events::Observer;
+use akrobat_model::task::Task;
 use akrobat_model::{Phase, Pose, Trajectory};
 use akrobat_renderer::pointcloud::{CloudConfig, fuse};
 use akrobat_renderer::replay::{FRAME_RATE_HZ, Replay};
@@ -120,7 +121,7 @@ pub fn render(
         gif_name: format!("trajectory_{index}.gif"),
         gif: animation::encode(&strips, 1.0 / GIF_RATE_HZ, options.gif_bytes)?,
         glb_name: format!("trajectory_{index}.glb"),
-        glb: model(input, scene, trajectory, options.glb_mesh_bytes),
+        glb: model(input.task, scene, trajectory, options.glb_mesh_bytes),
         instants: kept.iter().map(|o| Instant { time_s: o.time_s, phase: o.phase }).collect(),
         cameras: camera_sheets(&kept, &scene.segment_labels())?,
         clouds: cloud_sheets(&kept, &episode)?,
@@ -177,7 +178,7 @@ fn camera_sheets(kept: &[Observation], labels: &[SegmentLabel]) -> Result<Vec<Ca
 fn depth_range<'a>(depths: impl Iterator<Item = &'a f32>) -> [f32; 2] {
     let mut seen: Vec<f32> = depths.copied().filter(|&depth| depth > 0.0).collect();
     seen.sort_by(f32::total_cmp);
-    let Some(&nearest) = seen.first() else { return [0.0, 1.0] };
+    let Some(&nearest) = seen.first() else { return [0.1, 1.0] };
     [nearest, seen[(DEPTH_SHARE * (seen.len() - 1) as f64) as usize]]
 }
 
@@ -190,11 +191,12 @@ fn cloud_sheets(kept: &[Observation], episode: &Episode<'_>) -> Result<Vec<Cloud
         let state = episode.state(observation.frame as usize);
         let handle = episode.handle();
         let points = fuse(&observation.cameras, &handle.position(&state), &CloudConfig::default());
+        let center = handle.position(&state);
         // The tool's z axis points into the object.
         let inward = handle.world_from_grasp(&state) * Vector3::z();
         let outward_rad = (-inward.y).atan2(-inward.x);
         let view = |view: &cloud::View| -> Result<(&'static str, String), Error> {
-            Ok((view.name, picture::png_uri(&cloud::draw(&points, view, outward_rad))?))
+            Ok((view.name, picture::png_uri(&cloud::draw(&points, view, outward_rad, &center))?))
         };
         Ok(CloudSheet {
             time_s: observation.time_s,
@@ -206,13 +208,13 @@ fn cloud_sheets(kept: &[Observation], episode: &Episode<'_>) -> Result<Vec<Cloud
 }
 
 /// Robot, object and what of the scene is near, as an animated GLB.
-fn model(
-    input: &ReportInput<'_>,
+pub(super) fn model(
+    task: &Task,
     scene: &RenderScene,
     trajectory: &Trajectory,
     mesh_bytes: usize,
 ) -> Vec<u8> {
-    let replay = Replay::new(input.task, scene);
+    let replay = Replay::new(task, scene);
     let times_s = trajectory.frame_times(FRAME_RATE_HZ, false);
     let states: Vec<FrameState> =
         times_s.iter().map(|&time_s| replay.at_time(trajectory, 0, time_s)).collect();
