@@ -14,7 +14,7 @@ const COLORS: usize = 255;
 const UNCHANGED: u8 = 255;
 /// Largest difference of a channel at which a pixel keeps the colour it has: less flicker, smaller
 /// files.
-const HOLD: u8 = 5;
+const HOLD: u8 = 2;
 /// Pixels that the palette is learned from.
 const PALETTE_SAMPLES: usize = 200_000;
 /// Widths tried, as fractions of the full one, until the file is small enough.

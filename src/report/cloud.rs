@@ -10,7 +10,7 @@ const HEIGHT: u32 = 315;
 /// Radius of a point, pixels.
 const RADIUS: f64 = 2.3;
 /// Points within this distance of the centre of interest decide what fits into the picture, metres.
-const FOCUS_M: f64 = 1.5;
+const FOCUS_M: f64 = 1.1;
 /// Share of these points on either side that does not.
 const OUTLIERS: f64 = 0.01;
 
@@ -60,7 +60,7 @@ pub fn draw(
         let v = f64::from(HEIGHT) / 2.0 - (p.y - (bottom + top) / 2.0) * scale;
         // What is farther away is paler, which gives the picture depth.
         let nearness = ((p.z - back) / (front - back).max(1e-6)).clamp(0.0, 1.0);
-        splat(&mut picture, [u, v], color, 0.55 + 0.45 * nearness);
+        splat(&mut picture, [u, v], color, 0.6 + 0.4 * nearness);
     }
     picture
 }

@@ -10,9 +10,12 @@ pub mod cloud;
 pub mod drift;
 pub mod footprint;
 pub mod glb;
+mod index;
 mod page;
 pub mod picture;
 mod shown;
+
+pub use index::{IndexEntry, write_index};
 
 use std::collections::BTreeMap;
 use std::io::Write;
