@@ -61,6 +61,7 @@ fn report_request(args: &InspectArgs, folder: &Path) -> ReportRequest {
         backend: args.backend,
         rig: Some(args.rig.clone()),
         options: ReportOptions { shown: args.show, ..ReportOptions::default() },
+        run: None,
     }
 }
 

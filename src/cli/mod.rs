@@ -1,5 +1,6 @@
 //! The command line: one file per verb.
 
+mod demo;
 mod inspect;
 mod plan;
 mod render;
@@ -35,6 +36,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Demo(demo::DemoArgs),
     Plan(plan::PlanArgs),
     Render(render::RenderArgs),
     Inspect(inspect::InspectArgs),
@@ -87,6 +89,7 @@ pub fn run<A: Into<OsString> + Clone>(
 
 fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
     match command {
+        Command::Demo(args) => demo::run(args, context),
         Command::Plan(args) => plan::run(args, context),
         Command::Render(args) => render::run(args, context),
         Command::Validate(args) => validate::run(args),

@@ -1,5 +1,6 @@
 //! The stages composed into the jobs that the command line and the Python package offer.
 
+mod demo;
 mod plan;
 mod render;
 mod report;
@@ -11,6 +12,7 @@ use akrobat_model::load::AssetSearch;
 
 use crate::{Error, Host};
 
+pub use demo::{DemoReport, DemoRequest, DemoRobotChoice, DemoTask, demo};
 pub use plan::{PlanReport, PlanRequest, plan};
 pub use render::{BackendChoice, Format, RenderReport, RenderRequest, render};
 pub use report::{ReportRequest, report};

@@ -28,6 +28,8 @@ pub struct ReportRequest {
     pub rig: Option<String>,
     /// How much is shown.
     pub options: ReportOptions,
+    /// What is known of the planning run besides its file; what the task alone tells, where absent.
+    pub run: Option<RunDetails>,
 }
 
 /// Writes the page of a trajectory file. Returns the files written, the page first.
@@ -43,7 +45,10 @@ pub fn report(request: &ReportRequest, context: &Context<'_>) -> Result<Vec<Path
     check_unchanged(&request.trajectories, &set, &task)?;
     let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
     let mut backend = open_backend(request.backend, context)?;
-    let run = known_again(&task)?;
+    let run = match &request.run {
+        Some(run) => run.clone(),
+        None => known_again(&task)?,
+    };
     let input = ReportInput { task: &task, set: &set, rig: &rig, run: Some(&run) };
     let (folder, options) = (&request.output, &request.options);
     report::write(folder, &input, options, backend.as_mut(), context.observer)
