@@ -1,5 +1,7 @@
 //! Trajectory files from end to end: planned by the command, read, judged again, damaged.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 

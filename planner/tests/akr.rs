@@ -1,5 +1,7 @@
 //! The augmented kinematic representation against the trees it is made of.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 mod common;
 
 use akrobat_model::load::AssetSearch;

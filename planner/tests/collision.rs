@@ -1,5 +1,7 @@
 //! Penalties against finite differences, clearances against exact distances, link pairs.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 mod common;
 
 use std::sync::OnceLock;

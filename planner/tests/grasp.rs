@@ -1,5 +1,7 @@
 //! Grasps on real handles, checked again with exact distances.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 mod common;
 
 use std::fs;

@@ -1,6 +1,8 @@
 //! Compiled kinematics, the closure constraint and inverse kinematics against the model's trees and
 //! finite differences.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 mod common;
 
 use akrobat_model::{KinematicTree, Pose, Robot, pose};

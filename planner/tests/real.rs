@@ -1,5 +1,7 @@
 //! A real task planned and judged, repeated for determinism, and its trajectories damaged.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 mod common;
 
 use std::collections::BTreeSet;

@@ -1,5 +1,7 @@
 //! Collision spheres: the report of the fit measured again, and cuRobo's YAML.
 
+#![allow(clippy::unwrap_used)] // helpers of tests
+
 mod common;
 
 use std::fs;
