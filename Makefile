@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 # The HDF5 library's build needs a CMake that not every distribution has: it finds the one in .venv.
 export PATH := $(VENV)/bin:$(PATH)
 
-.PHONY: build test lint format schema clean
+.PHONY: build demo test lint format schema clean
 
 # Installs the command and the Python package into .venv.
 build: $(VENV)/.tools
@@ -20,6 +20,14 @@ build: $(VENV)/.tools
 	maturin build --quiet --release --interpreter $(VENV)/bin/python --out $(WHEELS)
 	pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)"
+
+# Everything once, on built-in inputs: a kitchen is generated, TIAGo opens three things in it, and a page shows
+# what came of it.
+DEMO ?= akrobat-demo
+demo: build
+	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[demo]"
+	rm -rf $(DEMO)
+	$(VENV)/bin/akrobat demo --output $(DEMO)
 
 # All tests, Rust and Python, with a private software Vulkan driver where the machine has none.
 test: build
@@ -30,13 +38,13 @@ test: build
 lint: $(VENV)/.tools
 	cargo fmt --all --check
 	cargo clippy --quiet --release --workspace --all-targets -- -D warnings
-	ruff format --check python tests
-	ruff check python tests
+	ruff format --check python tests benchmarks
+	ruff check python tests benchmarks
 
 format: $(VENV)/.tools
 	cargo fmt --all
-	ruff format python tests
-	ruff check --fix python tests
+	ruff format python tests benchmarks
+	ruff check --fix python tests benchmarks
 
 # Regenerates the JSON Schemas; a test fails where they are out of date.
 schema: build
@@ -49,4 +57,4 @@ $(VENV)/.tools: pyproject.toml
 	touch $@
 
 clean:
-	rm -rf $(VENV) .cache target
+	rm -rf $(VENV) .cache target akrobat-demo
