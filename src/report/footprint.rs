@@ -263,6 +263,7 @@ impl Map {
     fn ruler(&self) -> Markup {
         let (x, y) = (16.0, self.height() - 16.0);
         html! {
+            rect.ruler-ground x=(px(x - 8.0)) y=(px(y - 24.0)) width=(px(SCALE + 16.0)) height="32" rx="4" {}
             line.ruler x1=(px(x)) x2=(px(x + SCALE)) y1=(px(y)) y2=(px(y)) {}
             text.ruler-name x=(px(x + SCALE / 2.0)) y=(px(y - 7.0)) text-anchor="middle" { "1 m" }
         }
