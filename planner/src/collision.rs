@@ -255,8 +255,8 @@ impl RobotBody {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Smallest clearance at a configuration, with the object's driven joint at `object_q`; what is farther
-    /// than [`FAR_M`] may be left out. Stops early once something is closer than `enough`.
+    /// Smallest clearance at a configuration, with the object's driven joint at `object_q`; obstacles farther
+    /// than [`FAR_M`] and link pairs farther apart than 5 cm may be left out. Stops early once something is closer than `enough`.
     pub fn clearance(
         &self,
         frames: &NodeFrames,

@@ -142,7 +142,7 @@ pub fn timed_spline(knots: &[Vec<f64>], limits: &Limits, dt: f64) -> (Vec<Vec<f6
     };
     let mut duration = 0.3;
     for _ in 0..4 {
-        let count = (duration / dt as f64).ceil().max(4.0) as usize;
+        let count = (duration / dt).ceil().max(4.0) as usize;
         let samples = sample(count);
         let factor = limits.stretch(&samples, duration / count as f64);
         if factor <= 1.0 {

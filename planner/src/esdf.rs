@@ -262,9 +262,13 @@ impl Esdf {
         let inverse = 1.0 / self.voxel_m;
         let mut base = [0usize; 3];
         let mut f = [0.0; 3];
+        let mut slope = Vector3::zeros();
         for axis in 0..3 {
             let top = (self.size[axis] - 1) as f64;
-            let u = ((point[axis] - self.origin[axis]) * inverse).clamp(0.0, top - 1e-9);
+            let free = (point[axis] - self.origin[axis]) * inverse;
+            let u = free.clamp(0.0, top - 1e-9);
+            // Beyond the grid the value no longer changes along this axis.
+            slope[axis] = if free == u { inverse } else { 0.0 };
             base[axis] = u as usize;
             f[axis] = u - base[axis] as f64;
         }
@@ -281,7 +285,7 @@ impl Esdf {
         let dx =
             lerp(lerp(c100 - c000, c110 - c010, f[1]), lerp(c101 - c001, c111 - c011, f[1]), f[2]);
         let dy = lerp(x10 - x00, x11 - x01, f[2]);
-        (lerp(y0, y1, f[2]), Vector3::new(dx, dy, y1 - y0) * inverse)
+        (lerp(y0, y1, f[2]), Vector3::new(dx, dy, y1 - y0).component_mul(&slope))
     }
 }
 

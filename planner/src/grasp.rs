@@ -36,12 +36,21 @@ struct Surroundings {
     others: Esdf,
 }
 
+/// A link that moves rigidly with the tool, sampled in its own frame.
+struct GripperLink {
+    link: usize,
+    is_finger: bool,
+    points: Vec<Vector3<f64>>,
+    spheres: Vec<(Vector3<f64>, f64)>,
+}
+
 /// Points and spheres of the gripper in the tool frame.
+#[derive(Default)]
 struct GripperShape {
     hand_points: Vec<Vector3<f64>>,
     hand_spheres: Vec<(Vector3<f64>, f64)>,
-    open_points: Vec<Vector3<f64>>,
-    open_spheres: Vec<(Vector3<f64>, f64)>,
+    finger_points: Vec<Vector3<f64>>,
+    finger_spheres: Vec<(Vector3<f64>, f64)>,
 }
 
 /// At most `count` grasps of a task, the best first: from its file, else sampled. Both are checked
@@ -53,9 +62,12 @@ pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64, count: usize) -> (V
         from_poses(task)
     };
     let around = Surroundings::build(task);
+    let robot = &task.robot;
+    let gripper = gripper_links(robot, spheres);
+    let open = GripperShape::new(robot, &gripper, robot.file.gripper.open_width_m);
     let fits: Vec<Option<f64>> = candidates
         .par_iter()
-        .map(|candidate| around.fits(task, spheres, candidate).then_some(candidate.score))
+        .map(|candidate| around.fits(robot, &gripper, &open, candidate).then_some(candidate.score))
         .collect();
     let mut fitting: Vec<&Candidate> =
         candidates.iter().zip(&fits).filter(|(_, fit)| fit.is_some()).map(|(c, _)| c).collect();
@@ -200,53 +212,63 @@ impl Surroundings {
 
     /// True where the hand and the open fingers are free at the grasp and on the way to it, and the closed
     /// fingers touch nothing but the handle.
-    fn fits(&self, task: &Task, spheres: &SphereModel, candidate: &Candidate) -> bool {
-        let robot = &task.robot;
+    fn fits(
+        &self,
+        robot: &Robot,
+        gripper: &[GripperLink],
+        open: &GripperShape,
+        candidate: &Candidate,
+    ) -> bool {
         let tool = Frame::from(&candidate.link_from_tool);
-        let shape = GripperShape::new(robot, spheres, robot.file.gripper.open_width_m);
-        let closed = GripperShape::new(robot, spheres, candidate.width_m);
         let approach = tool.rotation * Vector3::z();
         [0.0, 0.015, 0.04, 0.08].iter().all(|&back| {
             let at = Frame { translation: tool.translation - approach * back, ..tool };
-            self.hand_is_free(&shape, &at) && self.open_fingers_are_free(&shape, &at)
-        }) && self.fingers_avoid_others(&closed, &tool)
+            self.hand_is_free(open, &at) && self.open_fingers_are_free(open, &at)
+        }) && self
+            .fingers_avoid_others(&GripperShape::new(robot, gripper, candidate.width_m), &tool)
     }
 
     fn hand_is_free(&self, shape: &GripperShape, tool: &Frame) -> bool {
-        shape.hand_points.iter().all(|p| {
+        let is_free = |p: &Vector3<f64>, least: f64| {
             let p = tool.transform(p);
-            self.others.distance(&p) > HAND_CLEARANCE_M
-                && self.handle.distance(&p) > HAND_CLEARANCE_M
-        }) && shape.hand_spheres.iter().all(|(c, r)| {
-            let c = tool.transform(c);
-            self.others.distance(&c) > r + FINGER_CLEARANCE_M
-                && self.handle.distance(&c) > r + FINGER_CLEARANCE_M
-        })
+            self.others.distance(&p) > least && self.handle.distance(&p) > least
+        };
+        shape.hand_points.iter().all(|p| is_free(p, HAND_CLEARANCE_M))
+            && shape.hand_spheres.iter().all(|(c, r)| is_free(c, r + FINGER_CLEARANCE_M))
     }
 
     fn open_fingers_are_free(&self, shape: &GripperShape, tool: &Frame) -> bool {
-        shape
-            .open_points
-            .iter()
-            .all(|p| self.handle.distance(&tool.transform(p)) > OPEN_CLEARANCE_M)
+        let from_handle = |p: &Vector3<f64>| self.handle.distance(&tool.transform(p));
+        shape.finger_points.iter().all(|p| from_handle(p) > OPEN_CLEARANCE_M)
             && self.fingers_avoid_others(shape, tool)
     }
 
     fn fingers_avoid_others(&self, shape: &GripperShape, tool: &Frame) -> bool {
-        shape
-            .open_points
-            .iter()
-            .all(|p| self.others.distance(&tool.transform(p)) > FINGER_CLEARANCE_M)
-            && shape
-                .open_spheres
-                .iter()
-                .all(|(c, r)| self.others.distance(&tool.transform(c)) > r + FINGER_CLEARANCE_M)
+        let from_others = |p: &Vector3<f64>| self.others.distance(&tool.transform(p));
+        shape.finger_points.iter().all(|p| from_others(p) > FINGER_CLEARANCE_M)
+            && shape.finger_spheres.iter().all(|(c, r)| from_others(c) > r + FINGER_CLEARANCE_M)
     }
 }
 
+/// Samples the links that are rigid with the tool.
+fn gripper_links(robot: &Robot, spheres: &SphereModel) -> Vec<GripperLink> {
+    let links = (0..robot.tree.links().len()).filter(|&link| rigid_with_tool(robot, link));
+    links
+        .map(|link| {
+            let own = spheres.spheres.iter().filter(|s| s.link == link);
+            GripperLink {
+                link,
+                is_finger: robot.finger_links.contains(&link),
+                points: surface_samples(&link_triangles(&robot.tree.links()[link]), 0.006, 700),
+                spheres: own.map(|s| (s.center.into(), s.radius)).collect(),
+            }
+        })
+        .collect()
+}
+
 impl GripperShape {
-    /// The links that are rigid with the tool, with the fingers at a width.
-    fn new(robot: &Robot, spheres: &SphereModel, width_m: f64) -> Self {
+    /// The gripper with this free width between the pads.
+    fn new(robot: &Robot, gripper: &[GripperLink], width_m: f64) -> Self {
         let mut q = robot.rest.clone();
         for (&joint, position) in robot.gripper_joints.iter().zip(robot.finger_positions(width_m)) {
             if let Some(column) = robot.tree.column(joint) {
@@ -255,28 +277,17 @@ impl GripperShape {
         }
         let poses = robot.tree.link_poses(&Pose::identity(), &q);
         let tool_from_world = (poses[robot.tool_link] * robot.link_from_tool).inverse();
-        let mut shape = Self {
-            hand_points: Vec::new(),
-            hand_spheres: Vec::new(),
-            open_points: Vec::new(),
-            open_spheres: Vec::new(),
-        };
-        for link in 0..robot.tree.links().len() {
-            if !rigid_with_tool(robot, link) {
-                continue;
-            }
-            let tool_from_link = Frame::from(&(tool_from_world * poses[link]));
-            let triangles = link_triangles(&robot.tree.links()[link]);
-            let points = surface_samples(&triangles, 0.006, 700);
-            let points = points.iter().map(|p| tool_from_link.transform(p));
-            let own = spheres.spheres.iter().filter(|s| s.link == link);
-            let own = own.map(|s| (tool_from_link.transform(&s.center.into()), s.radius));
-            if robot.finger_links.contains(&link) {
-                shape.open_points.extend(points);
-                shape.open_spheres.extend(own);
+        let mut shape = Self::default();
+        for part in gripper {
+            let tool_from_link = Frame::from(&(tool_from_world * poses[part.link]));
+            let points = part.points.iter().map(|p| tool_from_link.transform(p));
+            let spheres = part.spheres.iter().map(|(c, r)| (tool_from_link.transform(c), *r));
+            if part.is_finger {
+                shape.finger_points.extend(points);
+                shape.finger_spheres.extend(spheres);
             } else {
                 shape.hand_points.extend(points);
-                shape.hand_spheres.extend(own);
+                shape.hand_spheres.extend(spheres);
             }
         }
         shape

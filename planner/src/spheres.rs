@@ -43,7 +43,7 @@ pub struct SphereModel {
 }
 
 /// Largest number of spheres of one link.
-const MAX_PER_LINK: usize = 40;
+const MAX_PER_LINK: usize = 64;
 /// Fitting stops where this fraction of the surface is covered.
 const COVERAGE_GOAL: f64 = 0.975;
 /// Number of candidate centres and of surface samples, at most.
