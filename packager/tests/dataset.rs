@@ -111,7 +111,8 @@ fn whole_datasets_are_valid_and_damage_is_found() {
 
 #[test]
 fn bad_content_is_found() {
-    let cases: [(&str, fn(&mut akrobat_cameras::Observation)); 5] = [
+    type Spoil = fn(&mut akrobat_cameras::Observation);
+    let cases: [(&str, Spoil); 5] = [
         ("fixed_rgb: frame 2 is black", |o| o.cameras[0].rgb.fill(0)),
         ("wrist_depth: frame 2 has no depth", |o| o.cameras[1].depth_m.fill(f32::NAN)),
         ("joint_pos: holds NaN", |o| o.robot[3] = f64::NAN),

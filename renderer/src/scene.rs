@@ -129,6 +129,9 @@ pub struct RenderScene {
     clusters: Arc<OnceLock<ClusteredScene>>,
 }
 
+/// Group, name, class, index in its tree or scene, and meshes in its own frame: a body without a segment id.
+pub type UnnumberedBody = (BodyGroup, String, String, usize, Vec<Arc<TriMesh>>);
+
 impl RenderScene {
     /// Collects and triangulates the visual geometry of a task. Links and bodies without any are left out.
     ///
@@ -158,14 +161,11 @@ impl RenderScene {
         Self::new(name, bodies)
     }
 
-    /// A scene from bodies given as group, name, class, index and meshes in the body's frame.
+    /// A scene from bodies without segment ids, which are given in this order.
     ///
     /// # Errors
     /// As [`RenderScene::from_task`].
-    pub fn new(
-        name: String,
-        bodies: Vec<(BodyGroup, String, String, usize, Vec<Arc<TriMesh>>)>,
-    ) -> Result<Self, RenderError> {
+    pub fn new(name: String, bodies: Vec<UnnumberedBody>) -> Result<Self, RenderError> {
         let count = bodies.len();
         let numbered =
             bodies.into_iter().enumerate().map(|(place, (group, name, class, index, meshes))| {
