@@ -251,7 +251,8 @@ fn flipped_bytes_never_change_numbers() {
 
 #[test]
 fn missing_and_misshapen_datasets_are_named() {
-    let cases: [(&str, fn(&hdf5::File)); 6] = [
+    type Damage = fn(&hdf5::File);
+    let cases: [(&str, Damage); 6] = [
         ("dense/robot: expected a dataset, got no such dataset", |f| {
             f.unlink("dense/robot").unwrap()
         }),
