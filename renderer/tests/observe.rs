@@ -1,5 +1,7 @@
 //! Clouds, camera placement and episodes.
 
+#![allow(clippy::unwrap_used)] // Test helpers fail by panicking.
+
 mod common;
 
 use std::path::Path;

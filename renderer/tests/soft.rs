@@ -1,5 +1,7 @@
 //! The CPU rasteriser against closed forms and against the ray tracer that spells the image model out.
 
+#![allow(clippy::unwrap_used)] // Test helpers fail by panicking.
+
 mod common;
 
 use akrobat_cameras::CameraFrame;
