@@ -1,5 +1,7 @@
 //! Computes depth, colour and segment of every pixel from its nearest triangle.
 
+use std::ops::Range;
+
 use akrobat_cameras::CameraFrame;
 use akrobat_model::TriMesh;
 
@@ -27,33 +29,105 @@ pub(super) fn shade(
         depth_m: vec![0.0; pixels],
         segmentation: vec![0; pixels],
     };
-    let light = CameraLight::new(&scene.lighting, &view.camera_from_world);
-    let srgb = SrgbTables::get();
-    let rays_x: Vec<f32> = (0..view.width)
-        .map(|u| ((u as f64 + 0.5 - view.center[0]) / view.focal[0]) as f32)
-        .collect();
-    for v in 0..view.height {
-        let ray_y = ((v as f64 + 0.5 - view.center[1]) / view.focal[1]) as f32;
-        let row = &visibility.triangle[v * view.stride..][..view.width];
-        let mut last: Option<(u32, Surface<'_>)> = None;
-        for (u, &value) in row.iter().enumerate() {
-            if value == 0 {
-                continue;
+    let shading = Shading {
+        view,
+        scene,
+        clusters,
+        visibility,
+        light: CameraLight::new(&scene.lighting, &view.camera_from_world),
+        srgb: SrgbTables::get(),
+        rays_x: (0..view.width).map(|u| view.ray(0, u)).collect(),
+    };
+    shading.fill(&mut frame);
+    frame
+}
+
+/// What shading reads.
+struct Shading<'a> {
+    view: &'a View,
+    scene: &'a RenderScene,
+    clusters: &'a ClusteredScene,
+    visibility: &'a Visibility,
+    light: CameraLight,
+    srgb: &'static SrgbTables,
+    /// x of the ray `(x, y, 1)` through the pixel centres of each column.
+    rays_x: Vec<f32>,
+}
+
+impl Shading<'_> {
+    fn fill(&self, frame: &mut CameraFrame) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            unsafe { self.fill_avx2(frame) };
+            return;
+        }
+        self.fill_inline(frame);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn fill_avx2(&self, frame: &mut CameraFrame) {
+        self.fill_inline(frame);
+    }
+
+    #[inline(always)]
+    fn fill_inline(&self, frame: &mut CameraFrame) {
+        let View { width, height, stride, .. } = *self.view;
+        for v in 0..height {
+            let row = &self.visibility.triangle[v * stride..][..width];
+            let ray_y = self.view.ray(1, v);
+            let mut start = 0;
+            while start < width {
+                let value = row[start];
+                let run = row[start..].iter().position(|&other| other != value);
+                let end = run.map_or(width, |length| start + length);
+                if value != 0 {
+                    self.fill_run(frame, value, v, start..end, ray_y);
+                }
+                start = end;
             }
-            if last.as_ref().is_none_or(|(of, _)| *of != value) {
-                last =
-                    Some((value, Surface::new(view, scene, clusters, visibility, value, &light)));
-            }
-            let Some((_, surface)) = &last else { continue };
-            let at = v * view.width + u;
-            let (depth, color) = surface.at(rays_x[u], ray_y, view.far, &light, srgb);
-            frame.depth_m[at] = depth;
-            frame.segmentation[at] = surface.segment;
-            let encoded = color.map(|linear| srgb.encode(linear));
-            frame.rgb[3 * at..3 * at + 3].copy_from_slice(&encoded);
         }
     }
-    frame
+
+    /// Shades neighbouring pixels of one row that show the same triangle.
+    #[inline(always)]
+    fn fill_run(
+        &self,
+        frame: &mut CameraFrame,
+        value: u32,
+        v: usize,
+        columns: Range<usize>,
+        ray_y: f32,
+    ) {
+        let surface = Surface::new(self, value);
+        let at = v * self.view.width;
+        let pixels = at + columns.start..at + columns.end;
+        let rays_x = &self.rays_x[columns];
+        let depths = &mut frame.depth_m[pixels.clone()];
+        for (depth, &ray_x) in depths.iter_mut().zip(rays_x) {
+            *depth = surface.depth(ray_x, ray_y, self.view.far);
+        }
+        frame.segmentation[pixels.clone()].fill(surface.segment);
+        let colors = frame.rgb[3 * pixels.start..3 * pixels.end].as_chunks_mut::<3>().0;
+        if let Some(light) = surface.flat_light.filter(|_| !surface.is_textured) {
+            let [r, g, b, _] = surface.mesh.material.base_color;
+            colors.fill(self.encode([r, g, b], light));
+            return;
+        }
+        for ((color, &depth), &ray_x) in colors.iter_mut().zip(&*depths).zip(rays_x) {
+            let weights = surface.weights([ray_x * depth, ray_y * depth, depth]);
+            let light = surface
+                .flat_light
+                .unwrap_or_else(|| surface.smooth_light(weights, [ray_x, ray_y, 1.0], &self.light));
+            *color = self.encode(surface.albedo(weights, self.srgb), light);
+        }
+    }
+
+    #[inline(always)]
+    fn encode(&self, albedo: [f32; 3], light: [f32; 3]) -> [u8; 3] {
+        std::array::from_fn(|i| self.srgb.encode(albedo[i] * light[i]))
+    }
 }
 
 /// Light in the camera frame.
@@ -91,119 +165,133 @@ impl CameraLight {
 struct Surface<'a> {
     segment: u16,
     mesh: &'a TriMesh,
+    is_textured: bool,
     /// Vertices in the mesh.
     corners: [usize; 3],
     camera_from_body: &'a Transform,
-    /// First corner, camera frame.
-    origin: [f64; 3],
     /// Plane `normal . p = offset`, camera frame.
     normal: [f64; 3],
     offset: f64,
     nearest: f32,
     farthest: f32,
+    /// First corner, camera frame.
+    origin: [f32; 3],
     /// `dot(p - origin, gradient[i])` is the weight of corner i + 1 at a point p of the plane.
-    gradient: [[f64; 3]; 2],
-    /// Light on the whole triangle where it has no vertex normals.
+    gradient: [[f32; 3]; 2],
+    /// Light on the whole triangle where it is the same everywhere.
     flat_light: Option<[f32; 3]>,
 }
 
 impl<'a> Surface<'a> {
-    fn new(
-        view: &'a View,
-        scene: &'a RenderScene,
-        clusters: &'a ClusteredScene,
-        visibility: &Visibility,
-        value: u32,
-        light: &CameraLight,
-    ) -> Self {
+    #[inline(always)]
+    fn new(shading: &Shading<'a>, value: u32) -> Self {
+        let Shading { view, scene, clusters, visibility, light, .. } = shading;
         let (drawn, index) = visibility.lookup(value);
         let instance = &clusters.instances[drawn.instance as usize];
         let cluster = &instance.mesh.clusters[drawn.cluster as usize];
         let triangle = instance.mesh.triangles[cluster.triangles.start + index];
         let mesh: &TriMesh = &instance.mesh.mesh;
+        let camera_from_body = &view.camera_from_body[instance.body];
+        let corners = mesh.triangles[triangle.source as usize].map(|vertex| vertex as usize);
         let p = triangle.corners.map(|corner| {
             let vertex = drawn.first_vertex as usize + usize::from(corner);
-            visibility.position.each_ref().map(|axis| f64::from(axis[vertex]))
+            visibility.position.each_ref().map(|axis| axis[vertex])
         });
-        let (e1, e2) = (subtract(p[1], p[0]), subtract(p[2], p[0]));
+        let exact = p.map(|p| p.map(f64::from));
+        let (e1, e2) = (subtract(exact[1], exact[0]), subtract(exact[2], exact[0]));
         let normal = cross(e1, e2);
         let square = dot64(normal, normal);
         let inverse_square = if square > 0.0 { 1.0 / square } else { 0.0 };
-        let z = p.map(|p| p[2] as f32);
-        let offset = dot64(normal, p[0]);
-        let flat_light = (mesh.normals.len() != mesh.positions.len()).then(|| {
+        let offset = dot64(normal, exact[0]);
+        let flat_normal = if mesh.normals.len() == mesh.positions.len() {
+            let common = common_normal(mesh, corners);
+            common.and_then(|n| facing(normalized(camera_from_body.rotate(n)), p))
+        } else {
             let scale = inverse_square.sqrt();
-            // The eye is at the origin: the plane's near side has a negative offset.
+            // The eye is at the origin: a normal that faces it has a negative offset.
             let sign = if offset > 0.0 { -scale } else { scale };
-            light.on(normal.map(|c| (c * sign) as f32))
-        });
+            Some(normal.map(|c| (c * sign) as f32))
+        };
         Self {
             segment: scene.bodies[instance.body].segment_id,
+            is_textured: mesh.material.base_color_texture.as_ref().is_some_and(|t| !t.is_empty())
+                && mesh.uvs.len() == mesh.positions.len(),
             mesh,
-            corners: mesh.triangles[triangle.source as usize].map(|vertex| vertex as usize),
-            camera_from_body: &view.camera_from_body[instance.body],
-            origin: p[0],
+            corners,
+            camera_from_body,
             offset,
-            nearest: z[0].min(z[1]).min(z[2]).max(view.near),
-            farthest: z[0].max(z[1]).max(z[2]),
-            gradient: [
-                cross(e2, normal).map(|c| c * inverse_square),
-                cross(normal, e1).map(|c| c * inverse_square),
-            ],
+            nearest: p[0][2].min(p[1][2]).min(p[2][2]).max(view.near),
+            farthest: p[0][2].max(p[1][2]).max(p[2][2]),
+            origin: p[0],
+            gradient: [cross(e2, normal), cross(normal, e1)]
+                .map(|g| g.map(|c| (c * inverse_square) as f32)),
+            flat_light: flat_normal.map(|n| light.on(n)),
             normal,
-            flat_light,
         }
     }
 
-    /// Depth (metres) and linear colour where the ray `(x, y, 1)` meets the triangle.
+    /// Depth (metres) where the ray `(x, y, 1)` meets the triangle.
     #[inline(always)]
-    fn at(
-        &self,
-        ray_x: f32,
-        ray_y: f32,
-        far: f32,
-        light: &CameraLight,
-        srgb: &SrgbTables,
-    ) -> (f32, [f32; 3]) {
+    fn depth(&self, ray_x: f32, ray_y: f32, far: f32) -> f32 {
         let ray = [f64::from(ray_x), f64::from(ray_y), 1.0];
-        let exact = self.offset / dot64(self.normal, ray);
+        let exact = (self.offset / dot64(self.normal, ray)) as f32;
         // Coverage is decided on the grid, so the ray may just miss the triangle: stay within its depths.
-        let depth = (exact as f32).min(self.farthest).max(self.nearest).min(far);
-        let weights = self.weights(ray.map(|c| c * f64::from(depth)));
-        let received = self.flat_light.unwrap_or_else(|| {
-            let normals = self.corners.map(|vertex| self.mesh.normals[vertex]);
-            let n = normalized(self.camera_from_body.rotate(mix(normals, weights)));
-            let away = n[0] * ray_x + n[1] * ray_y + n[2] > 0.0;
-            light.on(if away { n.map(|c| -c) } else { n })
-        });
-        let albedo = self.albedo(weights, srgb);
-        (depth, std::array::from_fn(|i| albedo[i] * received[i]))
+        exact.min(self.farthest).max(self.nearest).min(far)
     }
 
     /// Weights of the corners at a point of the plane, kept within the triangle.
     #[inline(always)]
-    fn weights(&self, point: [f64; 3]) -> [f32; 3] {
-        let offset = subtract(point, self.origin);
-        let second = (dot64(offset, self.gradient[0]) as f32).clamp(0.0, 1.0);
-        let third = (dot64(offset, self.gradient[1]) as f32).clamp(0.0, 1.0 - second);
+    fn weights(&self, point: [f32; 3]) -> [f32; 3] {
+        let offset: [f32; 3] = std::array::from_fn(|i| point[i] - self.origin[i]);
+        let second = dot(offset, self.gradient[0]).clamp(0.0, 1.0);
+        let third = dot(offset, self.gradient[1]).clamp(0.0, 1.0 - second);
         [1.0 - second - third, second, third]
+    }
+
+    /// Light where the vertex normals differ.
+    #[inline(always)]
+    fn smooth_light(&self, weights: [f32; 3], ray: [f32; 3], light: &CameraLight) -> [f32; 3] {
+        let normals = self.corners.map(|vertex| self.mesh.normals[vertex]);
+        let n = normalized(self.camera_from_body.rotate(mix(normals, weights)));
+        light.on(if dot(n, ray) > 0.0 { n.map(|c| -c) } else { n })
     }
 
     #[inline(always)]
     fn albedo(&self, weights: [f32; 3], srgb: &SrgbTables) -> [f32; 3] {
         let material = &self.mesh.material;
         let [r, g, b, _] = material.base_color;
-        let Some(texture) = &material.base_color_texture else { return [r, g, b] };
-        if self.mesh.uvs.len() != self.mesh.positions.len() || texture.is_empty() {
-            return [r, g, b];
+        match &material.base_color_texture {
+            Some(texture) if self.is_textured => {
+                let uv = mix(self.corners.map(|vertex| self.mesh.uvs[vertex]), weights);
+                let texel = bilinear(texture, uv, srgb);
+                [r * texel[0], g * texel[1], b * texel[2]]
+            }
+            _ => [r, g, b],
         }
-        let uv = mix(self.corners.map(|vertex| self.mesh.uvs[vertex]), weights);
-        let texel = bilinear(texture, uv, srgb);
-        [r * texel[0], g * texel[1], b * texel[2]]
+    }
+}
+
+/// The vertex normal that all corners share, body frame.
+#[inline(always)]
+fn common_normal(mesh: &TriMesh, [a, b, c]: [usize; 3]) -> Option<[f32; 3]> {
+    let n = &mesh.normals;
+    (n[a] == n[b] && n[a] == n[c]).then_some(n[a])
+}
+
+/// The normal, or its opposite, that faces the eye from the whole of a triangle (camera frame); `None` where
+/// neither does. What holds at the corners holds in between, since the condition is linear.
+#[inline(always)]
+fn facing(normal: [f32; 3], corners: [[f32; 3]; 3]) -> Option<[f32; 3]> {
+    let away = corners.map(|p| dot(normal, p) > 0.0);
+    match away {
+        [true, true, true] => Some(normal.map(|c| -c)),
+        [false, false, false] => Some(normal),
+        _ => None,
     }
 }
 
 /// Bilinear sample in linear RGB with repeat wrapping.
+#[inline(always)]
 fn bilinear(texture: &image::RgbaImage, uv: [f32; 2], srgb: &SrgbTables) -> [f32; 3] {
     let size = [texture.width(), texture.height()];
     let axis = |i: usize| {

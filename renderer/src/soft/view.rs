@@ -95,6 +95,12 @@ impl View {
         }
     }
 
+    /// Component `axis` of the ray `(x, y, 1)` through the centre of a pixel.
+    #[inline(always)]
+    pub fn ray(&self, axis: usize, pixel: usize) -> f32 {
+        ((pixel as f64 + 0.5 - self.center[axis]) / self.focal[axis]) as f32
+    }
+
     /// A body's sphere in the camera frame.
     #[inline(always)]
     pub fn sphere(&self, body: usize, sphere: &Sphere) -> Sphere {
