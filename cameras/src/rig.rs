@@ -255,7 +255,8 @@ mod tests {
     #[test]
     fn bad_values_are_refused_with_what_was_expected() {
         assert!(with(|_| ()).is_ok());
-        let cases: [(&dyn Fn(&mut CameraSpec), &str); 10] = [
+        type Change<'a> = &'a dyn Fn(&mut CameraSpec);
+        let cases: [(Change<'_>, &str); 10] = [
             (&|c| c.focal_mm = 0.0, "focal_mm"),
             (&|c| c.focal_mm = -15.0, "focal_mm"),
             (&|c| c.focal_mm = f64::NAN, "focal_mm"),
