@@ -70,3 +70,84 @@ impl Default for PlannerConfig {
         }
     }
 }
+
+/// Most voxels that a distance field may have: 600 along each edge take 860 MB.
+const MOST_VOXELS: f64 = 2.16e8;
+
+impl PlannerConfig {
+    /// Checks that every number is one that planning can work with.
+    ///
+    /// # Errors
+    /// The first setting that is not, with what was expected.
+    pub fn check(&self) -> Result<(), String> {
+        let counts = [
+            ("limit", self.limit, 1),
+            ("waypoints", self.waypoints, 2),
+            ("substeps", self.substeps, 1),
+            ("ik_seeds", self.ik_seeds, 1),
+            ("ik_clusters", self.ik_clusters, 1),
+            ("pairs_per_grasp", self.pairs_per_grasp, 1),
+        ];
+        for (name, count, least) in counts {
+            if count < least {
+                return Err(format!("{name}: expected at least {least}, got {count}"));
+            }
+        }
+        let [width, depth, height] = self.workspace_m;
+        let lengths = [
+            ("duration_s", self.duration_s),
+            ("voxel_size_m", self.voxel_size_m),
+            ("workspace_m", width.min(depth).min(height)),
+            ("max_base_yaw_rad", self.max_base_yaw_rad),
+        ];
+        for (name, value) in lengths {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(format!("{name}: expected a finite number above 0, got {value}"));
+            }
+        }
+        let voxels = width * depth * height / self.voxel_size_m.powi(3);
+        if voxels.is_nan() || voxels > MOST_VOXELS {
+            return Err(format!(
+                "voxel_size_m {} makes {voxels:.1e} voxels of workspace_m {:?}; expected at most {MOST_VOXELS:.1e}",
+                self.voxel_size_m, self.workspace_m
+            ));
+        }
+        let weights = self.velocity_weights.iter().chain(&self.acceleration_weights);
+        let at_least_zero = [
+            ("clearance_m", self.clearance_m),
+            ("min_clearance_m", self.min_clearance_m),
+            ("approach_distance_m", self.approach_distance_m),
+        ];
+        let weights = weights.map(|&weight| ("velocity_weights and acceleration_weights", weight));
+        for (name, value) in at_least_zero.into_iter().chain(weights) {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(format!("{name}: expected finite numbers of at least 0, got {value}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_cannot_work_are_refused() {
+        PlannerConfig::default().check().unwrap();
+        let base = PlannerConfig::default;
+        let wrong = [
+            ("limit", PlannerConfig { limit: 0, ..base() }),
+            ("waypoints", PlannerConfig { waypoints: 1, ..base() }),
+            ("voxel_size_m", PlannerConfig { voxel_size_m: -0.02, ..base() }),
+            ("voxel_size_m", PlannerConfig { voxel_size_m: 1e-6, ..base() }),
+            ("workspace_m", PlannerConfig { workspace_m: [5.0, 0.0, 5.0], ..base() }),
+            ("workspace_m", PlannerConfig { workspace_m: [5.0, f64::NAN, 5.0], ..base() }),
+            ("clearance_m", PlannerConfig { clearance_m: f64::NAN, ..base() }),
+            ("velocity_weights", PlannerConfig { velocity_weights: [-1.0; 4], ..base() }),
+        ];
+        for (name, config) in wrong {
+            assert!(config.check().unwrap_err().contains(name), "{name}");
+        }
+    }
+}

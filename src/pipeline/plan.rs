@@ -82,8 +82,8 @@ fn load_task(
             ModelError::invalid(&request.task, format!("[planner]: {}", e.message()))
         })?;
     config.limit = request.limit.unwrap_or(config.limit);
-    if config.limit == 0 {
-        return Err(Error::Usage("limit: expected at least 1 trajectory, got 0".into()));
+    if let Err(message) = config.check() {
+        return Err(ModelError::invalid(&request.task, format!("[planner]: {message}")).into());
     }
     Ok((task, config))
 }

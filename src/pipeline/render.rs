@@ -113,6 +113,8 @@ pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderRe
     let task_path = task_path(&request.trajectories, &set);
     let task = load::task_from_text(set.header.task_toml.clone(), &task_path, &search)?;
     check_unchanged(&request.trajectories, &set, &task)?;
+    let links = task.robot.tree.links().iter().map(|link| link.name.as_str());
+    rig.validate_links(links).map_err(|error| Error::Render(error.into()))?;
     let backend = open_backend(request.backend, context)?;
     let scene = RenderScene::from_task(&task)?;
     let provenance = provenance(&set, &scene, backend.name(), request);

@@ -1,6 +1,7 @@
 //! Object sections of task files.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -28,6 +29,9 @@ impl LoadedObject {
     }
 }
 
+/// Scales that some unit of length may call for; beyond them there is a mistake.
+const SCALES: RangeInclusive<f64> = 1e-4..=1e4;
+
 /// Loads, scales and places the object of the task at `task_path`; a body that it replaces is removed
 /// from `scene`.
 pub fn load(
@@ -37,8 +41,9 @@ pub fn load(
     scene: &mut Scene,
 ) -> Result<LoadedObject, ModelError> {
     let section = &task.object;
-    if !(section.scale.is_finite() && section.scale > 0.0) {
-        let message = format!("expected a number above 0, got {}", section.scale);
+    if !SCALES.contains(&section.scale) {
+        let (least, most) = (SCALES.start(), SCALES.end());
+        let message = format!("expected a number from {least} to {most}, got {}", section.scale);
         return Err(ModelError::bad_value(place(task_path, "object.scale"), message));
     }
     let urdf_path = search.find(&section.urdf, task_path)?;
