@@ -67,6 +67,14 @@ pub enum CameraMount {
         /// Camera pose in that frame, `[x y z qw qx qy qz]`.
         link_from_camera: [f64; 7],
     },
+    /// On a robot link, turned at every frame so that it looks at the tool, its image upright: a camera
+    /// on a pan-tilt head.
+    LookAtTool {
+        /// Link name or alias, as for a rigid mount.
+        link: String,
+        /// Camera position in that link's frame, metres.
+        position: [f64; 3],
+    },
     /// At rest in the world.
     World {
         /// Camera pose, `[x y z qw qx qy qz]`.
@@ -170,7 +178,11 @@ impl Rig {
         links: impl Iterator<Item = &'a str> + Clone,
     ) -> Result<(), RigError> {
         for camera in &self.cameras {
-            let CameraMount::Link { link, .. } = &camera.mount else { continue };
+            let (CameraMount::Link { link, .. } | CameraMount::LookAtTool { link, .. }) =
+                &camera.mount
+            else {
+                continue;
+            };
             let mut valid = LINK_ALIASES.into_iter().chain(links.clone());
             if !valid.any(|name| name == link) {
                 return Err(RigError::UnknownLink {
@@ -222,6 +234,12 @@ impl CameraSpec {
                      that is not zero, got {pose:?}"
                 )),
             },
+            CameraMount::LookAtTool { position, .. } => {
+                if position.iter().all(|v| v.is_finite()) {
+                    return Ok(());
+                }
+                Err(format!("position must be three finite numbers, got {position:?}"))
+            }
             CameraMount::LookAtHandle { offset } => {
                 let distance = offset.iter().map(|v| v * v).sum::<f64>().sqrt();
                 if distance.is_finite() && distance >= 0.05 {

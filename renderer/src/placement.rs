@@ -12,13 +12,31 @@ use crate::raycast::first_hit;
 use crate::replay::base_link;
 use crate::{FrameState, RenderError, RenderScene};
 
+/// A frame of the robot that can carry a camera.
+#[derive(Debug, Clone, Copy)]
+enum Carrier {
+    /// The tool frame.
+    Tool,
+    /// A link of the robot's tree.
+    Link(usize),
+}
+
+impl Carrier {
+    fn world_from_carrier(self, frame: &FrameState) -> Pose {
+        match self {
+            Self::Tool => frame.world_from_tool,
+            Self::Link(link) => frame.world_from_robot_link[link],
+        }
+    }
+}
+
 /// What a camera moves with.
 #[derive(Debug, Clone, Copy)]
 enum Anchor {
-    /// The tool frame, and the camera in it.
-    Tool(Pose),
-    /// A link of the robot's tree, and the camera in it.
-    Link(usize, Pose),
+    /// A frame of the robot, and the camera in it.
+    Rigid(Carrier, Pose),
+    /// What carries a pan-tilt head, and the camera's place on it.
+    LookAtTool(Carrier, Point3<f64>),
     /// The world, and the camera in it.
     World(Pose),
 }
@@ -52,7 +70,10 @@ impl PlacedRig {
         let anchor = |camera: &CameraSpec| -> Result<Anchor, RenderError> {
             Ok(match &camera.mount {
                 CameraMount::Link { link, link_from_camera } => {
-                    link_anchor(task, link, pose_of(camera, link_from_camera)?)?
+                    Anchor::Rigid(carrier(task, link)?, pose_of(camera, link_from_camera)?)
+                }
+                CameraMount::LookAtTool { link, position } => {
+                    Anchor::LookAtTool(carrier(task, link)?, Point3::from(*position))
                 }
                 CameraMount::World { world_from_camera } => {
                     Anchor::World(pose_of(camera, world_from_camera)?)
@@ -74,9 +95,12 @@ impl PlacedRig {
             near_m: camera.near_m,
             far_m: camera.far_m,
             world_from_camera: match *anchor {
-                Anchor::Tool(tool_from_camera) => frame.world_from_tool * tool_from_camera,
-                Anchor::Link(link, link_from_camera) => {
-                    frame.world_from_robot_link[link] * link_from_camera
+                Anchor::Rigid(carrier, carrier_from_camera) => {
+                    carrier.world_from_carrier(frame) * carrier_from_camera
+                }
+                Anchor::LookAtTool(carrier, position) => {
+                    let eye = carrier.world_from_carrier(frame) * position;
+                    look_at(&eye, &Point3::from(frame.world_from_tool.translation.vector))
                 }
                 Anchor::World(world_from_camera) => world_from_camera,
             },
@@ -91,17 +115,17 @@ fn pose_of(camera: &CameraSpec, values: &[f64; 7]) -> Result<Pose, ModelError> {
     })
 }
 
-fn link_anchor(task: &Task, link: &str, link_from_camera: Pose) -> Result<Anchor, ModelError> {
+fn carrier(task: &Task, link: &str) -> Result<Carrier, ModelError> {
     let robot = &task.robot;
     Ok(match link {
-        "tool" => Anchor::Tool(link_from_camera),
-        "base" => Anchor::Link(base_link(task), link_from_camera),
+        "tool" => Carrier::Tool,
+        "base" => Carrier::Link(base_link(task)),
         "mount" => {
             let first = robot.arm_joints.first();
             let mount = first.map_or(robot.tree.root(), |&joint| robot.tree.joints()[joint].parent);
-            Anchor::Link(mount, link_from_camera)
+            Carrier::Link(mount)
         }
-        name => Anchor::Link(robot.tree.link_index(name)?, link_from_camera),
+        name => Carrier::Link(robot.tree.link_index(name)?),
     })
 }
 
