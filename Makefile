@@ -38,6 +38,7 @@ test: build
 lint: $(VENV)/.tools
 	cargo fmt --all --check
 	cargo clippy --quiet --release --workspace --all-targets -- -D warnings
+	judge/check_independence.sh
 	ruff format --check python tests benchmarks
 	ruff check python tests benchmarks
 
