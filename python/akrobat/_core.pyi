@@ -109,6 +109,7 @@ def render(
     format: str,
     episodes: Sequence[int] | None,
     manipulation_only: bool,
+    episodes_per_shard: int | None,
     resume: bool,
     threads: int | None,
     assets: Sequence[Path],

@@ -55,6 +55,7 @@ def render(
     format: Literal["hdf5", "mcap"] = "hdf5",
     episodes: Sequence[int] | None = None,
     manipulation_only: bool = False,
+    episodes_per_shard: int | None = None,
     resume: bool = False,
     threads: int | None = None,
     assets: Sequence[StrPath] = (),
@@ -69,6 +70,7 @@ def render(
     :param format: which files hold the episodes
     :param episodes: positions in the trajectory file; all where absent
     :param manipulation_only: leave out approach and grasp
+    :param episodes_per_shard: episodes in one HDF5 shard; an interruption loses at most that many
     :param resume: continue what an interrupted run with the same arguments left
     :param threads: number of threads; the result does not depend on it
     :param assets: folders where assets are looked up, before those of `$AKROBAT_ASSET_PATH`
@@ -86,6 +88,7 @@ def render(
                 format=format,
                 episodes=episodes,
                 manipulation_only=manipulation_only,
+                episodes_per_shard=episodes_per_shard,
                 resume=resume,
                 threads=threads,
                 assets=assets,
@@ -99,6 +102,7 @@ def render(
         format=format,
         episodes=None if episodes is None else list(episodes),
         manipulation_only=manipulation_only,
+        episodes_per_shard=episodes_per_shard,
         resume=resume,
         threads=threads,
         assets=[Path(folder) for folder in assets],

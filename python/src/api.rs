@@ -34,7 +34,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, format, episodes, manipulation_only, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, format, episodes, manipulation_only, episodes_per_shard, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -45,6 +45,7 @@ pub fn render<'py>(
     format: &str,
     episodes: Option<Vec<usize>>,
     manipulation_only: bool,
+    episodes_per_shard: Option<u32>,
     resume: bool,
     threads: Option<usize>,
     assets: Vec<PathBuf>,
@@ -59,6 +60,7 @@ pub fn render<'py>(
         format: choice::<Format>("format", format)?,
         episodes,
         manipulation_only,
+        episodes_per_shard,
         resume,
         threads,
     };

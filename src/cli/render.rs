@@ -39,6 +39,9 @@ pub struct RenderArgs {
     /// Which phases are rendered.
     #[arg(long, value_enum, default_value_t)]
     phases: Phases,
+    /// Episodes in one HDF5 shard. What is interrupted loses at most the shard that was being written.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    episodes_per_shard: Option<u32>,
     /// Continue what an interrupted run of the same command left.
     #[arg(long)]
     resume: bool,
@@ -73,6 +76,7 @@ pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
         format: args.format,
         episodes: args.episodes.clone().map(|Episodes(list)| list),
         manipulation_only: args.phases == Phases::Manipulate,
+        episodes_per_shard: args.episodes_per_shard,
         resume: args.resume,
         threads: args.threads,
     };

@@ -73,6 +73,9 @@ pub struct RenderRequest {
     pub episodes: Option<Vec<usize>>,
     /// Render only the manipulation, without approach and grasp.
     pub manipulation_only: bool,
+    /// Episodes in one HDF5 shard; the packager's default where absent. What is interrupted loses at most
+    /// the shard that was being written.
+    pub episodes_per_shard: Option<u32>,
     /// Continue what an interrupted run left in the output.
     pub resume: bool,
     /// Number of threads; one for each core where absent. The result does not depend on it.
@@ -252,11 +255,16 @@ impl Job<'_> {
                 source: String::new(),
             },
         ];
+        let defaults = DatasetConfig::new(&self.set.header.task_name, self.rig.clone());
         DatasetConfig {
             container,
             licences,
             provenance: self.provenance.clone(),
-            ..DatasetConfig::new(&self.set.header.task_name, self.rig.clone())
+            episodes_per_shard: self
+                .request
+                .episodes_per_shard
+                .unwrap_or(defaults.episodes_per_shard),
+            ..defaults
         }
     }
 
