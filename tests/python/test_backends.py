@@ -45,7 +45,7 @@ def inner_pixels(depth_mm: NDArray[np.int32], segments: NDArray[np.uint16]) -> N
 
 
 def violation(reference: Images, other: Images) -> str | None:
-    """What makes two sets of images differ by more than the tolerances; `None` where nothing does."""
+    """What differs by more than the tolerances; `None` where nothing does."""
     (depth, segments), (other_depth, other_segments) = reference, other
     inner = inner_pixels(depth, segments)
     if inner.mean() < LEAST_INNER:
