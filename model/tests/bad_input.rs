@@ -352,7 +352,7 @@ fn placing() {
     bad_file("task.toml", "joint", replaces, &["exactly one of", "both"]);
     bad_file("task.toml", "pose = [1.0", "scale = 2.0 #", &["exactly one of", "neither"]);
     bad_file("task.toml", "[1.0, 0.0, 0.4, 1.0,", "[1.0, 0.0, 0.4, 0.0,", &["object.pose"]);
-    bad_file("task.toml", "joint", "scale = 0.0\njoint", &["object.scale", "above 0"]);
+    bad_file("task.toml", "joint", "scale = 0.0\njoint", &["object.scale", "from 0.0001 to 10000"]);
     let pose = "pose = [1.0, 0.0, 0.4, 1.0, 0.0, 0.0, 0.0]";
     bad_file(
         "task.toml",

@@ -270,16 +270,17 @@ impl Run<'_> {
 
     /// Inverse kinematics at the start and at every goal, for every grasp; clustered.
     fn holds(&mut self, world: &World, grasps: &[Grasp]) -> Result<Vec<Hold>, PlanError> {
+        let stage = "inverse kinematics";
+        self.observer.event(&Event::StageStarted { stage, total: Some(grasps.len() as u64) });
         let mut holds = Vec::new();
-        for grasp in grasps {
+        for (grasp, done) in grasps.iter().zip(1..) {
             if self.observer.cancelled() {
                 return Err(PlanError::Cancelled);
             }
             if let Some(hold) = self.hold(world, grasp)? {
                 holds.push(hold);
             }
-            let done = holds.len() as u64;
-            self.observer.event(&Event::Progress { stage: "inverse kinematics", done });
+            self.observer.event(&Event::Progress { stage, done });
         }
         Ok(holds)
     }
