@@ -18,6 +18,8 @@ const SURFACE_POINTS: usize = 500;
 const DIRECTIONS: usize = 16;
 /// How far beyond the middle of the pads the handle may lie, metres.
 const DEPTHS_M: [f64; 3] = [0.0, -0.006, 0.006];
+/// How far the pads reach along the approach direction from the tool's origin, metres.
+const PAD_REACH_M: f64 = 0.008;
 /// Largest angle between the pads and the surface: friction coefficient 0.5.
 const FRICTION_ANGLE: f64 = 0.46;
 /// Width kept free beyond the handle when the fingers are open, metres.
@@ -134,30 +136,28 @@ fn sample_antipodal(object: &ManipulatedObject, open_width_m: f64, seed: u64) ->
 fn from_poses(task: &Task) -> Vec<Candidate> {
     let triangles = handle_triangles(&task.object);
     let open = task.robot.file.gripper.open_width_m;
-    task.grasp_poses
-        .iter()
-        .enumerate()
-        .map(|(rank, pose)| {
-            let closing = pose.rotation * Vector3::y();
-            let width = clamp_width(&triangles, &pose.translation.vector, &closing, open);
-            Candidate { link_from_tool: *pose, width_m: width, score: -(rank as f64) }
-        })
-        .collect()
+    let candidate = |(rank, pose): (usize, &Pose)| Candidate {
+        link_from_tool: *pose,
+        width_m: clamp_width(&triangles, pose, open),
+        score: -(rank as f64),
+    };
+    task.grasp_poses.iter().enumerate().map(candidate).collect()
 }
 
-/// Free width between the pads once they touch what is between them.
-fn clamp_width(
-    triangles: &Triangles,
-    tool: &Vector3<f64>,
-    closing: &Vector3<f64>,
-    open_width_m: f64,
-) -> f64 {
-    let gap = |side: f64| {
-        let from = tool + closing * (side * open_width_m / 2.0);
+/// Free width between the pads once they first touch what is between them: the handle's largest width
+/// along the pads, which reach [`PAD_REACH_M`] to both sides of the tool's origin.
+fn clamp_width(triangles: &Triangles, link_from_tool: &Pose, open_width_m: f64) -> f64 {
+    let (closing, approach) =
+        (link_from_tool.rotation * Vector3::y(), link_from_tool.rotation * Vector3::z());
+    let gap = |side: f64, along: f64| {
+        let middle = link_from_tool.translation.vector + approach * along;
+        let from = middle + closing * (side * open_width_m / 2.0);
         let nearest = ray_hits(triangles, &from, &(closing * -side)).map(|(t, _)| t);
         nearest.fold(open_width_m / 2.0, f64::min)
     };
-    open_width_m - 2.0 * gap(1.0).min(gap(-1.0))
+    let steps = (-4..=4).map(|step| PAD_REACH_M * f64::from(step) / 4.0);
+    let narrowest = steps.flat_map(|along| [gap(1.0, along), gap(-1.0, along)]);
+    open_width_m - 2.0 * narrowest.fold(f64::INFINITY, f64::min)
 }
 
 impl Surroundings {

@@ -214,8 +214,9 @@ fn poses_of_a_file_are_used_as_given() {
         for grasp in &used {
             let same = |g: &&Grasp| apart(&g.link_from_tool, &grasp.link_from_tool) < 1e-9;
             let original = ours.iter().find(same).expect("every pose is one of the file's");
-            let difference = (grasp.width_m - original.width_m).abs();
-            assert!(difference < 0.006, "{}: {difference}", task.file.name);
+            // Sampling measures the width at one point, closing stops at the widest place along the pads.
+            let widths = original.width_m - 0.001..=task.robot.file.gripper.open_width_m;
+            assert!(widths.contains(&grasp.width_m), "{}: {grasp:?}", task.file.name);
         }
     }
 }
