@@ -73,14 +73,14 @@ unpack_driver() {
     esac
     say "no usable Vulkan driver; unpacking Mesa's software driver into .cache/vulkan"
     rm -rf "$cache"
-    mkdir -p "$cache/apt/state/lists/partial" "$cache/apt/cache/archives/partial" "$cache/root"
+    mkdir -p "$cache/apt/state/lists/partial" "$cache/apt/cache/archives/partial" "$cache/unpacked"
     write_sources "$codename" "$backports"
     private_apt update
     private_apt "${release[@]}" --yes --download-only --no-install-recommends --reinstall \
         install mesa-vulkan-drivers libvulkan1
     local archive
     for archive in "$cache"/apt/cache/archives/*.deb; do
-        dpkg-deb -x "$archive" "$cache/root"
+        dpkg-deb -x "$archive" "$cache/unpacked"
     done
     rm -rf "$cache/apt"
 }
@@ -88,7 +88,7 @@ unpack_driver() {
 # Writes the driver's description and the environment that points at it.
 write_environment() {
     local library folder
-    library="$(find "$cache/root/usr/lib" -name libvulkan_lvp.so -print -quit)"
+    library="$(find "$cache/unpacked/usr/lib" -name libvulkan_lvp.so -print -quit)"
     [ -n "$library" ] || die "the downloaded packages hold no libvulkan_lvp.so"
     folder="$(dirname "$library")"
     if LD_LIBRARY_PATH="$folder" ldd "$library" | grep 'not found' >&2; then

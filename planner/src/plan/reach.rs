@@ -1,0 +1,239 @@
+//! Which grasps are within reach, and the configurations that hold them.
+
+use std::sync::OnceLock;
+
+use akrobat_model::ModelError;
+use akrobat_model::events::Event;
+use akrobat_model::task::Task;
+use akrobat_model::trajectory::Grasp;
+
+use super::{Hold, LIMIT_MARGIN, PlanError, Run, stage_seed};
+use crate::akr::{self, Akr};
+use crate::closure::Closure;
+use crate::collision::{MovingCheck, RobotBody};
+use crate::ik::{self, SeedRegion, Tool};
+use crate::kinematics::{Frame, Kinematics};
+use crate::world::{World, handle_center, outward};
+use crate::{cluster, grasp};
+
+/// Grasps that are looked at for each one that is used, and seeds that tell whether one is within reach.
+const SCREENED_PER_GRASP: usize = 12;
+const SCREENING_SEEDS: usize = 100;
+/// Solutions among them that suffice, and the number that stands for screening in seeds.
+const SCREENING_SOLUTIONS: usize = 2;
+const SCREENING_TARGET: usize = 0xffff;
+
+impl Run<'_> {
+    /// The grasps that are used: the first, in order of diversity, that fit and are within reach at both
+    /// ends of the motion.
+    pub(super) fn grasps(&mut self, world: &World) -> Result<Vec<Grasp>, PlanError> {
+        let task = self.task;
+        let wanted = task.file.grasps.count;
+        let (fitting, tried) = grasp::grasps(
+            task,
+            &self.preparation.spheres,
+            stage_seed(task, "grasps", 0),
+            wanted * SCREENED_PER_GRASP,
+        );
+        self.count("grasps/candidates", tried);
+        self.count("grasps/fitting", fitting.len());
+        let mut chosen = Vec::new();
+        for grasp in fitting {
+            if self.observer.cancelled() {
+                return Err(PlanError::Cancelled);
+            }
+            if chosen.len() == wanted {
+                break;
+            }
+            if self.is_within_reach(world, &grasp)? {
+                chosen.push(Grasp { id: chosen.len() as u32, ..grasp });
+            }
+        }
+        self.count("grasps/used", chosen.len());
+        Ok(chosen)
+    }
+
+    /// True where a few seeds give free configurations at the start and at a goal.
+    fn is_within_reach(&self, world: &World, grasp: &Grasp) -> Result<bool, PlanError> {
+        let akr = akr::assemble(&self.task.robot, &self.task.object, grasp)?;
+        let goal = &self.task.file.goal;
+        let reaches = |q: f64| -> Result<bool, PlanError> {
+            let found = self.solve(world, &akr, grasp, q, SCREENING_TARGET, SCREENING_SEEDS)?.0;
+            Ok(found.len() >= SCREENING_SOLUTIONS)
+        };
+        if !reaches(goal.start)? {
+            return Ok(false);
+        }
+        for &q in &goal.positions {
+            if reaches(q)? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Inverse kinematics at the start and at every goal, for every grasp; clustered.
+    pub(super) fn holds(
+        &mut self,
+        world: &World,
+        grasps: &[Grasp],
+    ) -> Result<Vec<Hold>, PlanError> {
+        let stage = "inverse kinematics";
+        self.observer.event(&Event::StageStarted { stage, total: Some(grasps.len() as u64) });
+        let mut holds = Vec::new();
+        for (grasp, done) in grasps.iter().zip(1..) {
+            if self.observer.cancelled() {
+                return Err(PlanError::Cancelled);
+            }
+            if let Some(hold) = self.hold(world, grasp)? {
+                holds.push(hold);
+            }
+            self.observer.event(&Event::Progress { stage, done });
+        }
+        Ok(holds)
+    }
+
+    fn hold(&mut self, world: &World, grasp: &Grasp) -> Result<Option<Hold>, PlanError> {
+        let task = self.task;
+        let akr = akr::assemble(&task.robot, &task.object, grasp)?;
+        let mut kinematics =
+            Kinematics::compile(&akr.tree, &task.robot.world_from_root, &akr.variables, &akr.rest);
+        kinematics.draw_in_limits(akr.variables.len() - 1, LIMIT_MARGIN);
+        let body = RobotBody::new(
+            &task.robot,
+            &self.preparation.spheres,
+            &self.preparation.self_pairs,
+            &kinematics,
+        );
+        let Some(closure) = Closure::new(&akr, &kinematics, &task.object.world_from_root) else {
+            return Ok(None);
+        };
+        let mut hold = Hold {
+            grasp: grasp.clone(),
+            kinematics,
+            body,
+            closure,
+            starts: Vec::new(),
+            approaches: Vec::new(),
+            goals: Vec::new(),
+        };
+        hold.starts = self.configurations(world, &akr, &hold, task.file.goal.start, 0)?;
+        hold.approaches = hold.starts.iter().map(|_| OnceLock::new()).collect();
+        if hold.starts.is_empty() {
+            self.count("grasps/without_start", 1);
+            return Ok(None);
+        }
+        for (index, &goal) in task.file.goal.positions.iter().enumerate() {
+            let found = self.configurations(world, &akr, &hold, goal, index + 1)?;
+            hold.goals.push(found);
+        }
+        Ok(Some(hold))
+    }
+
+    /// Clustered, collision-free configurations with the object's joint at `q`.
+    fn configurations(
+        &mut self,
+        world: &World,
+        akr: &Akr,
+        hold: &Hold,
+        q: f64,
+        target_index: usize,
+    ) -> Result<Vec<Vec<f64>>, PlanError> {
+        let seeds = self.config.ik_seeds;
+        let (mut found, solved) = self.solve(world, akr, &hold.grasp, q, target_index, seeds)?;
+        self.count("ik/seeds", seeds);
+        self.count("ik/solved", solved);
+        self.count("ik/free", found.len());
+        let weights = vec![1.0; hold.kinematics.dof() - 1];
+        let seed = ik_seed(self.task, &hold.grasp, target_index);
+        let chosen =
+            cluster::representatives(&found, &weights, 10, self.config.ik_clusters, 500, seed);
+        Ok(chosen
+            .into_iter()
+            .map(|i| {
+                let mut x = std::mem::take(&mut found[i]);
+                x.push(q);
+                x
+            })
+            .collect())
+    }
+
+    /// Collision-free base and arm configurations that hold the object with its joint at `q`, and how many
+    /// seeds converged at all.
+    fn solve(
+        &self,
+        world: &World,
+        akr: &Akr,
+        grasp: &Grasp,
+        q: f64,
+        target_index: usize,
+        seeds: usize,
+    ) -> Result<(Vec<Vec<f64>>, usize), PlanError> {
+        let robot = &self.task.robot;
+        let variables = &akr.variables[..akr.variables.len() - 1];
+        let mut kinematics =
+            Kinematics::compile(&akr.tree, &robot.world_from_root, variables, &akr.rest);
+        kinematics.draw_in_limits(variables.len(), LIMIT_MARGIN);
+        let Some(tool) = Tool::new(robot, &kinematics) else { return Ok((Vec::new(), 0)) };
+        let body = RobotBody::new(
+            robot,
+            &self.preparation.spheres,
+            &self.preparation.self_pairs,
+            &kinematics,
+        );
+        // Half way to what optimisation aims at: a path that leaves here has room on all sides.
+        let least = f64::midpoint(self.config.min_clearance_m, self.config.clearance_m);
+        let prefilter = |x: &[f64]| {
+            self.base() == 0 || body.base_clearance(&kinematics.forward(x), world) > -0.05
+        };
+        let accept = |x: &[f64]| {
+            let frames = kinematics.forward(x);
+            let clearance = body.clearance(&frames, world, q, MovingCheck::NotTool, least);
+            clearance.distance_m >= least
+        };
+        Ok(ik::solve_batch(
+            &kinematics,
+            &tool,
+            &self.tool_target(grasp, q)?,
+            &self.seed_region(),
+            ik_seed(self.task, grasp, target_index),
+            seeds,
+            &prefilter,
+            &accept,
+        ))
+    }
+
+    /// World frame of the tool that holds the object with its joint at `q`.
+    fn tool_target(&self, grasp: &Grasp, q: f64) -> Result<Frame, ModelError> {
+        let object = &self.task.object;
+        let poses = object.tree.link_poses(&object.world_from_root, &object.configuration(q));
+        let link = object.tree.link_index(&grasp.link)?;
+        Ok(Frame::from(&(poses[link] * grasp.link_from_tool)))
+    }
+
+    fn seed_region(&self) -> SeedRegion {
+        let robot = &self.task.robot;
+        let base = self.base();
+        let poses = robot.tree.link_poses(&robot.world_from_root, &robot.rest);
+        let mount =
+            robot.arm_joints.first().map_or(robot.tree.root(), |&j| robot.tree.joints()[j].parent);
+        let mut offset = [0.0, 0.0];
+        if base == 3 {
+            let foot = robot.tree.joints()[robot.base_joints[2]].child;
+            let relative = poses[foot].inverse() * poses[mount];
+            offset = [relative.translation.x, relative.translation.y];
+        }
+        let handle = handle_center(&self.task.object);
+        SeedRegion {
+            base,
+            mount: offset,
+            outward: outward(&self.task.object, &handle),
+            distance_m: [0.3, 0.85],
+            half_angle: 2.0,
+        }
+    }
+}
+
+fn ik_seed(task: &Task, grasp: &Grasp, target_index: usize) -> u64 {
+    stage_seed(task, "ik", u64::from(grasp.id) << 16 | target_index as u64)
+}
