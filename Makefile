@@ -33,7 +33,8 @@ demo: build
 test: build
 	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[sapien,test]"
 	environment="$$(scripts/vulkan.sh)" && eval "$$environment" && \
-	    cargo test --release $(CARGO_TEST_FLAGS) && pytest $(PYTEST_FLAGS)
+	    cargo test --release $(CARGO_TEST_FLAGS) && \
+	    AKROBAT_SAMPLE_DATASET=$(CURDIR)/target/release/examples/sample_dataset pytest $(PYTEST_FLAGS)
 
 lint: $(VENV)/.tools
 	cargo fmt --all --check
