@@ -100,8 +100,7 @@ impl ApproachPlanner<'_> {
                 free.push((duration / count as f64 * 1.02, x));
             }
         }
-        let (mut samples, dt) = timed_spline(&reach, &limits, STEP_S);
-        samples.iter_mut().for_each(|x| self.kinematics.clamp(x));
+        let (samples, dt) = timed_spline(&reach, &limits, STEP_S, |x| self.kinematics.clamp(x));
         Ok(Approach { home, free, reach: samples.into_iter().map(|x| (dt, x)).collect() })
     }
 
@@ -142,7 +141,11 @@ impl ApproachPlanner<'_> {
         let retract = &self.robot.file.arm.retract;
         (0..HOME_TRIES).find_map(|attempt| {
             let mut x = grasp.to_vec();
-            x[base..].copy_from_slice(retract);
+            // Where the folded arm is not free, later tries leave it more and more as it is at the grasp.
+            let folded = (1.5 * (1.0 - attempt as f64 / (HOME_TRIES - 1) as f64)).min(1.0);
+            for (q, rest) in x[base..].iter_mut().zip(retract) {
+                *q += (rest - *q) * folded;
+            }
             if base == 3 {
                 // First tries keep their distance; later ones settle for less.
                 let eagerness = 1.0 - attempt as f64 / HOME_TRIES as f64;
@@ -152,9 +155,6 @@ impl ApproachPlanner<'_> {
                 x[1] += self.outward.y * out + self.outward.x * side;
                 x[2] += rng.random_range(-0.5..=0.5) * eagerness;
             }
-            // A folded arm may rest closer to the body than planning allows: later tries unfold it a little.
-            let unfold = 0.6 * attempt as f64 / HOME_TRIES as f64;
-            x[base..].iter_mut().for_each(|q| *q += rng.random_range(-1.0..=1.0) * unfold);
             self.kinematics.clamp(&mut x);
             self.free(&x, MovingCheck::All).then_some(x)
         })

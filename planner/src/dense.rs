@@ -133,15 +133,27 @@ impl Limits {
 }
 
 /// Samples of a move along a spline through `knots`, from rest to rest, in steps of about `dt`: at least
-/// as slow as the limits demand. Returns the samples after the first, and the step.
-pub fn timed_spline(knots: &[Vec<f64>], limits: &Limits, dt: f64) -> (Vec<Vec<f64>>, f64) {
+/// as slow as the limits demand. `clamp` brings samples that the spline overshoots back within position
+/// limits. Returns the samples after the first, and the step.
+pub fn timed_spline(
+    knots: &[Vec<f64>],
+    limits: &Limits,
+    dt: f64,
+    clamp: impl Fn(&mut [f64]),
+) -> (Vec<Vec<f64>>, f64) {
     let spline = Spline::at_rest(knots);
     let span = (knots.len() - 1) as f64;
     let sample = |count: usize| -> Vec<Vec<f64>> {
-        (0..=count).map(|i| spline.at(span * smooth(i as f64 / count as f64))).collect()
+        let at = |i: usize| {
+            let mut x = spline.at(span * smooth(i as f64 / count as f64));
+            clamp(&mut x);
+            x
+        };
+        (0..=count).map(at).collect()
     };
     let mut duration = 0.3;
-    for _ in 0..4 {
+    // Finer sampling of a longer move shows peaks that the first, coarse one missed.
+    for _ in 0..16 {
         let count = (duration / dt).ceil().max(4.0) as usize;
         let samples = sample(count);
         let factor = limits.stretch(&samples, duration / count as f64);
@@ -179,7 +191,7 @@ mod tests {
     #[test]
     fn timed_moves_respect_their_limits() {
         let limits = Limits { velocity: vec![0.5], acceleration: vec![2.0] };
-        let (samples, dt) = timed_spline(&[vec![0.0], vec![0.6], vec![1.0]], &limits, 0.02);
+        let (samples, dt) = timed_spline(&[vec![0.0], vec![0.6], vec![1.0]], &limits, 0.02, |_| ());
         let mut all = vec![vec![0.0]];
         all.extend(samples);
         assert!(limits.stretch(&all, dt) <= 1.0 + 1e-9);
