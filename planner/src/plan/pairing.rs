@@ -63,7 +63,10 @@ impl Run<'_> {
                 own
             })
             .collect();
-        pairs.sort_by_key(|p| (p.rank, p.start, p.goal_index, p.hold));
+        // Each start gets one goal before any gets its second, and goals take turns.
+        let goals = self.task.file.goal.positions.len();
+        let turn = |p: &Pair| (p.goal_index + goals - p.start % goals) % goals;
+        pairs.sort_by_key(|p| (p.rank, turn(p), p.start, p.hold));
         let mut per_hold = vec![0usize; holds.len()];
         let most = self.config.pairs_per_grasp * self.task.file.goal.positions.len();
         pairs.retain(|p| {
