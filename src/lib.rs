@@ -9,6 +9,7 @@ pub mod host;
 pub mod pipeline;
 pub mod progress;
 pub mod report;
+pub mod resources;
 
 pub use cancel::CancelToken;
 pub use cli::run;

@@ -108,6 +108,8 @@ pub struct PlanOutcome {
     pub counts: BTreeMap<String, u64>,
     /// Wall time by stage, seconds.
     pub stage_seconds: BTreeMap<String, f64>,
+    /// Durations of each step of each pair that was tried, seconds of one thread.
+    pub step_seconds: BTreeMap<String, Vec<f64>>,
     /// Details of the first rejections, for people.
     pub notes: Vec<String>,
 }
@@ -133,6 +135,7 @@ pub fn plan(
         observer,
         counts: BTreeMap::new(),
         stage_seconds: BTreeMap::new(),
+        step_seconds: BTreeMap::new(),
     };
     let world = run.stage("distance field", |_| World::build(task, config));
     let grasps = run.stage("grasps", |run| run.grasps(&world))?;
@@ -147,6 +150,7 @@ pub fn plan(
         set: TrajectorySet { header, trajectories },
         counts: run.counts,
         stage_seconds: run.stage_seconds,
+        step_seconds: run.step_seconds,
         notes,
     })
 }
@@ -158,6 +162,7 @@ struct Run<'a> {
     observer: &'a dyn Observer,
     counts: BTreeMap<String, u64>,
     stage_seconds: BTreeMap<String, f64>,
+    step_seconds: BTreeMap<String, Vec<f64>>,
 }
 
 /// One grasp with its AKR and the configurations found for it.
@@ -183,6 +188,24 @@ struct Pair {
     goal: Vec<f64>,
     /// Rank of this goal among those of its start: near ones first.
     rank: usize,
+}
+
+/// Durations of the steps of one pair.
+struct StepClock {
+    began: Instant,
+    laps: Vec<(&'static str, f64)>,
+}
+
+impl StepClock {
+    fn start() -> Self {
+        Self { began: Instant::now(), laps: Vec::new() }
+    }
+
+    /// Ends a step and begins the next.
+    fn lap(&mut self, step: &'static str) {
+        self.laps.push((step, self.began.elapsed().as_secs_f64()));
+        self.began = Instant::now();
+    }
 }
 
 /// What became of a pair.
@@ -228,10 +251,16 @@ impl Run<'_> {
             if accepted.len() >= self.config.limit {
                 break;
             }
-            let outcomes: Vec<Outcome> =
-                batch.par_iter().map(|pair| self.connect(world, holds, pair, judge)).collect();
-            for outcome in outcomes {
+            let connect = |pair| {
+                let mut steps = StepClock::start();
+                (self.connect(world, holds, pair, judge, &mut steps), steps)
+            };
+            let outcomes: Vec<(Outcome, StepClock)> = batch.par_iter().map(connect).collect();
+            for (outcome, steps) in outcomes {
                 self.count("pairs/tried", 1);
+                for (step, seconds) in steps.laps {
+                    self.step_seconds.entry(step.into()).or_default().push(seconds);
+                }
                 match outcome {
                     Outcome::Failed(reason, detail) => {
                         self.count(&format!("failed/{reason}"), 1);
@@ -260,7 +289,14 @@ impl Run<'_> {
     }
 
     /// Optimises one pair and has the result judged.
-    fn connect(&self, world: &World, holds: &[Hold], pair: &Pair, judge: &JudgeFn<'_>) -> Outcome {
+    fn connect(
+        &self,
+        world: &World,
+        holds: &[Hold],
+        pair: &Pair,
+        judge: &JudgeFn<'_>,
+        steps: &mut StepClock,
+    ) -> Outcome {
         let hold = &holds[pair.hold];
         let problem = self.problem(world, hold);
         let start = &hold.starts[pair.start];
@@ -269,7 +305,9 @@ impl Run<'_> {
             false => None,
             true => {
                 let plan = || self.approach(world, hold, pair);
-                match hold.approaches[pair.start].get_or_init(plan) {
+                let planned = hold.approaches[pair.start].get_or_init(plan);
+                steps.lap("approach");
+                match planned {
                     Ok(approach) => Some(approach),
                     Err(reason) => return fail(reason),
                 }
@@ -279,10 +317,13 @@ impl Run<'_> {
             return fail("projection");
         };
         problem.optimise(&mut waypoints);
+        steps.lap("optimise");
         let Some(samples) = dense::densify(&problem, &waypoints, self.config.substeps) else {
             return fail("dense_path");
         };
-        if let Some((step, clearance)) = self.first_collision(&problem, &samples) {
+        let colliding = self.first_collision(&problem, &samples);
+        steps.lap("densify and check");
+        if let Some((step, clearance)) = colliding {
             let link = |l: usize| self.task.robot.tree.links()[l].name.as_str();
             let to = match clearance.to {
                 collision::Obstacle::Link(other) => link(other).to_string(),
@@ -306,6 +347,7 @@ impl Run<'_> {
         let seed = stage_seed(self.task, "pair", self.pair_number(pair));
         let trajectory = self.trajectory(hold, pair, seed, &waypoints, &samples, approach);
         let verdict = judge(&trajectory);
+        steps.lap("judge");
         Outcome::Judged(Box::new(trajectory), verdict)
     }
 

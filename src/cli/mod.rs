@@ -1,5 +1,6 @@
 //! The command line: one file per verb.
 
+mod bench;
 mod demo;
 mod inspect;
 mod plan;
@@ -36,6 +37,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Bench(bench::BenchArgs),
     Demo(demo::DemoArgs),
     Plan(plan::PlanArgs),
     Render(render::RenderArgs),
@@ -89,6 +91,7 @@ pub fn run<A: Into<OsString> + Clone>(
 
 fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
     match command {
+        Command::Bench(args) => bench::run(args, context),
         Command::Demo(args) => demo::run(args, context),
         Command::Plan(args) => plan::run(args, context),
         Command::Render(args) => render::run(args, context),

@@ -1,5 +1,6 @@
 //! The stages composed into the jobs that the command line and the Python package offer.
 
+mod bench_plan;
 mod demo;
 mod plan;
 mod render;
@@ -12,6 +13,7 @@ use akrobat_model::load::AssetSearch;
 
 use crate::{Error, Host};
 
+pub use bench_plan::{PlanBenchReport, PlanBenchRequest, ProblemResult, bench_plan};
 pub use demo::{DemoReport, DemoRequest, DemoRobotChoice, DemoTask, demo};
 pub use plan::{PlanReport, PlanRequest, plan};
 pub use render::{BackendChoice, Format, RenderReport, RenderRequest, render};

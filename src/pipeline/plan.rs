@@ -41,6 +41,8 @@ pub struct PlanReport {
     pub counts: BTreeMap<String, u64>,
     /// Wall time by stage, seconds.
     pub stage_seconds: BTreeMap<String, f64>,
+    /// Durations of each step of each pair of start and goal, seconds of one thread.
+    pub step_seconds: BTreeMap<String, Vec<f64>>,
     /// How well the collision spheres stand for each link.
     pub sphere_fits: Vec<SphereFit>,
     /// Repairs made while loading, contacts that are tolerated, details of rejections.
@@ -108,6 +110,7 @@ fn plan_task(
         set: outcome.set,
         counts: outcome.counts,
         stage_seconds: outcome.stage_seconds,
+        step_seconds: outcome.step_seconds,
         sphere_fits: preparation.spheres.fits,
         notes: loaded.chain(judge.notes()).chain(&outcome.notes).cloned().collect(),
     })
