@@ -54,4 +54,20 @@ pub enum RigError {
         /// Aliases and links.
         choices: Vec<String>,
     },
+    /// A sensor's value is outside its range.
+    #[error("{context}: {message}")]
+    BadSensor {
+        /// The file or preset.
+        context: String,
+        /// What was expected and what was found.
+        message: String,
+    },
+    /// There is no such sensor preset.
+    #[error("unknown sensor preset \"{name}\"; valid choices: {}", choices.join(", "))]
+    UnknownSensor {
+        /// The name asked for.
+        name: String,
+        /// The presets.
+        choices: Vec<String>,
+    },
 }

@@ -37,6 +37,11 @@ impl Intrinsics {
         Self::from_focal_length(width, height, 0.5 / (fov_rad / 2.0).tan(), 1.0)
     }
 
+    /// From the 3 x 3 matrix K, row-major.
+    pub fn from_matrix(width: u32, height: u32, k: &[[f64; 3]; 3]) -> Self {
+        Self { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2] }
+    }
+
     /// The 3 x 3 matrix K, row-major.
     pub fn matrix(&self) -> [[f64; 3]; 3] {
         [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
@@ -49,5 +54,18 @@ impl Intrinsics {
             (f64::from(v) + 0.5 - self.cy) / self.fy * depth_m,
             depth_m,
         ]
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Horizontal and vertical field of view without distortion, radians.
+    pub fn field_of_view_rad(&self) -> [f64; 2] {
+        let angle = |pixels: u32, focal: f64, center: f64| {
+            (center / focal).atan() + ((f64::from(pixels) - center) / focal).atan()
+        };
+        [angle(self.width, self.fx, self.cx), angle(self.height, self.fy, self.cy)]
     }
 }

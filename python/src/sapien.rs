@@ -208,12 +208,10 @@ fn render_batch(
         for (camera, (rgb, depth_m, segmentation)) in cameras.iter().zip(&images) {
             let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
             shot.push(CameraFrame {
-                name: camera.name.clone(),
-                intrinsics: camera.intrinsics,
-                world_from_camera: camera.world_from_camera,
                 rgb: rgb.as_slice()?[number * pixels * 3..][..pixels * 3].to_vec(),
                 depth_m: depth_m.as_slice()?[number * pixels..][..pixels].to_vec(),
                 segmentation: segmentation.as_slice()?[number * pixels..][..pixels].to_vec(),
+                ..CameraFrame::new(&camera.name, camera.intrinsics, camera.world_from_camera)
             });
         }
         batch.push(shot);

@@ -18,6 +18,9 @@ pub struct PlacedCamera {
     pub far_m: f64,
     /// Pose of the camera (x right, y down, z forward).
     pub world_from_camera: Pose,
+    /// Whether surface normals are wanted. A backend that has none leaves [`CameraFrame::normals`] empty, and
+    /// they are taken from the depth image.
+    pub normals: bool,
 }
 
 /// Renders frames after the image model of [`crate::scene`].

@@ -277,12 +277,14 @@ mod tests {
             .map(|(u, v)| pixel(u, v))
             .collect();
         CameraFrame {
-            name: "test".into(),
-            intrinsics: Intrinsics::from_horizontal_fov(WIDTH, HEIGHT, 1.0),
-            world_from_camera: Pose::identity(),
             rgb: vec![0; 3 * pixels.len()],
             depth_m: pixels.iter().map(|p| p.0 as f32).collect(),
             segmentation: pixels.iter().map(|p| p.1).collect(),
+            ..CameraFrame::new(
+                "test",
+                Intrinsics::from_horizontal_fov(WIDTH, HEIGHT, 1.0),
+                Pose::identity(),
+            )
         }
     }
 

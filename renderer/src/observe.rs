@@ -158,6 +158,7 @@ impl Episode<'_> {
             phase: state.phase,
             cameras,
             cloud,
+            cloud_normals: Vec::new(),
             robot: state.robot,
             object: state.object,
             world_from_tool: state.world_from_tool,

@@ -1,7 +1,6 @@
 //! From a rig to cameras at their places.
 
-use akrobat_cameras::{CameraMount, CameraSpec, Rig};
-use akrobat_model::pose::from_xyz_wxyz;
+use akrobat_cameras::{CameraMount, CameraSpec, PoseValues, Reference, Rig};
 use akrobat_model::task::Task;
 use akrobat_model::{ModelError, Pose};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -78,6 +77,16 @@ impl PlacedRig {
                 CameraMount::World { world_from_camera } => {
                     Anchor::World(pose_of(camera, world_from_camera)?)
                 }
+                CameraMount::LookAt { relative_to, position, target } => {
+                    let world_from_reference = match relative_to {
+                        Reference::World => Pose::identity(),
+                        Reference::Object => task.object.world_from_root,
+                        Reference::Handle => world_from_handle_frame(handle, keyframes),
+                    };
+                    let [eye, target] =
+                        [position, target].map(|p| world_from_reference * Point3::from(*p));
+                    Anchor::World(look_at(&eye, &target))
+                }
                 CameraMount::LookAtHandle { offset } => {
                     Anchor::World(look_at_handle(scene, handle, keyframes, *offset))
                 }
@@ -104,15 +113,14 @@ impl PlacedRig {
                 }
                 Anchor::World(world_from_camera) => world_from_camera,
             },
+            normals: false,
         };
         self.cameras.iter().map(place).collect()
     }
 }
 
-fn pose_of(camera: &CameraSpec, values: &[f64; 7]) -> Result<Pose, ModelError> {
-    from_xyz_wxyz(*values).ok_or_else(|| {
-        ModelError::bad_value(&camera.name, format!("expected a pose, found {values:?}"))
-    })
+fn pose_of(camera: &CameraSpec, values: &PoseValues) -> Result<Pose, ModelError> {
+    values.to_pose().map_err(|message| ModelError::bad_value(&camera.name, message))
 }
 
 fn carrier(task: &Task, link: &str) -> Result<Carrier, ModelError> {
@@ -175,6 +183,16 @@ fn look_at_handle(
         }
     }
     look_at(&best.1, &target)
+}
+
+/// The frame at the middle of the handle's way: z up, x horizontally out of the object.
+fn world_from_handle_frame(handle: &Handle, keyframes: &[FrameState]) -> Pose {
+    let positions: Vec<Point3<f64>> = keyframes.iter().map(|f| handle.position(f)).collect();
+    let outward = outward_yaw(handle, &keyframes[0]);
+    Pose::from_parts(
+        Translation3::from(middle(&positions).coords),
+        UnitQuaternion::from_rotation_matrix(&outward),
+    )
 }
 
 /// Centre of the bounding box of some points.

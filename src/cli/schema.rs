@@ -36,6 +36,8 @@ enum Kind {
     Robot,
     /// Camera rigs.
     Rig,
+    /// Sensors: what becomes of ideal images.
+    Sensor,
     /// The `[planner]` table of task files.
     Planner,
     /// The judge's tolerances.
@@ -48,6 +50,7 @@ impl Kind {
             Self::Task => "task",
             Self::Robot => "robot",
             Self::Rig => "rig",
+            Self::Sensor => "sensor",
             Self::Planner => "planner",
             Self::Judge => "judge",
         }
@@ -58,6 +61,7 @@ impl Kind {
             Self::Task => task_schema(),
             Self::Robot => schemars::schema_for!(akrobat_model::RobotFile),
             Self::Rig => schemars::schema_for!(akrobat_cameras::Rig),
+            Self::Sensor => schemars::schema_for!(akrobat_cameras::Sensor),
             Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
             Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
         }

@@ -40,13 +40,9 @@ pub fn config(container: Container) -> DatasetConfig {
 
 fn rig() -> Rig {
     let camera = |name: &str, width, height| CameraSpec {
-        name: name.into(),
         width,
         height,
-        focal_mm: 18.0,
-        near_m: 0.01,
-        far_m: 20.0,
-        mount: CameraMount::LookAtHandle { offset: [2.0, 0.0, 1.5] },
+        ..CameraSpec::new(name, 18.0, CameraMount::LookAtHandle { offset: [2.0, 0.0, 1.5] })
     };
     Rig { name: "two".into(), cameras: vec![camera("fixed", 64, 48), camera("wrist", 32, 24)] }
 }
@@ -111,6 +107,7 @@ pub fn observation(index: u32, frame: u32) -> Observation {
         phase,
         cameras,
         cloud,
+        cloud_normals: Vec::new(),
         robot: (0..6).map(|c| (time_s * f64::from(c + 1) + f64::from(index)).sin()).collect(),
         object: vec![time_s],
         world_from_tool: pose::from_xyz_rpy([time_s, 0.0, 1.0], [3.0, 0.1, time_s]),
@@ -129,14 +126,7 @@ fn camera_frame(
 ) -> CameraFrame {
     let intrinsics = Intrinsics::from_focal_length(width, height, 18.0, 20.955);
     let world_from_camera = looking(eye, ball);
-    let mut images = CameraFrame {
-        name: name.into(),
-        intrinsics,
-        world_from_camera,
-        rgb: Vec::new(),
-        depth_m: Vec::new(),
-        segmentation: Vec::new(),
-    };
+    let mut images = CameraFrame::new(name, intrinsics, world_from_camera);
     for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
         // With z = 1 in the camera frame, the ray's parameter is the z-depth.
         let ray = world_from_camera.rotation * Vector3::from(intrinsics.unproject(u, v, 1.0));

@@ -100,15 +100,13 @@ impl Targets {
                     image.pixels(mine)
                 });
                 CameraFrame {
-                    name: camera.name.clone(),
-                    intrinsics: camera.intrinsics,
-                    world_from_camera: camera.world_from_camera,
                     rgb: color.flat_map(|[r, g, b, _]| [r, g, b]).collect(),
                     depth_m: distance.map(f32::from_le_bytes).collect(),
                     // Segment ids are u16; the attachment is wider because every device has that format.
                     segmentation: segment
                         .map(|[low, high, ..]| u16::from_le_bytes([low, high]))
                         .collect(),
+                    ..CameraFrame::new(&camera.name, camera.intrinsics, camera.world_from_camera)
                 }
             };
             self.cameras.iter().zip(cameras).map(&mut unpack).collect()

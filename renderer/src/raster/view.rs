@@ -222,6 +222,7 @@ mod tests {
             near_m: 0.1,
             far_m: 10.0,
             world_from_camera: Pose::identity(),
+            normals: false,
         }
     }
 

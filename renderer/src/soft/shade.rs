@@ -22,12 +22,11 @@ pub(super) fn shade(
 ) -> CameraFrame {
     let pixels = view.width * view.height;
     let mut frame = CameraFrame {
-        name: camera.name.clone(),
-        intrinsics: camera.intrinsics,
-        world_from_camera: camera.world_from_camera,
         rgb: scene.lighting.background_rgb.repeat(pixels),
         depth_m: vec![0.0; pixels],
         segmentation: vec![0; pixels],
+        normals: if camera.normals { vec![[0.0; 3]; pixels] } else { Vec::new() },
+        ..CameraFrame::new(&camera.name, camera.intrinsics, camera.world_from_camera)
     };
     let shading = Shading {
         view,
@@ -35,6 +34,7 @@ pub(super) fn shade(
         clusters,
         visibility,
         light: CameraLight::new(&scene.lighting, &view.camera_from_world),
+        world_from_camera: Transform::new(&camera.world_from_camera),
         srgb: SrgbTables::get(),
         rays_x: (0..view.width).map(|u| view.ray(0, u)).collect(),
     };
@@ -49,6 +49,7 @@ struct Shading<'a> {
     clusters: &'a ClusteredScene,
     visibility: &'a Visibility,
     light: CameraLight,
+    world_from_camera: Transform,
     srgb: &'static SrgbTables,
     /// x of the ray `(x, y, 1)` through the pixel centres of each column.
     rays_x: Vec<f32>,
@@ -109,6 +110,13 @@ impl Shading<'_> {
             *depth = surface.depth(ray_x, ray_y, self.view.far);
         }
         frame.segmentation[pixels.clone()].fill(surface.segment);
+        if let Some(normals) = frame.normals.get_mut(pixels.clone()) {
+            for ((normal, &depth), &ray_x) in normals.iter_mut().zip(&*depths).zip(rays_x) {
+                let weights = surface.weights([ray_x * depth, ray_y * depth, depth]);
+                let facing = surface.normal_at(weights, [ray_x, ray_y, 1.0]);
+                *normal = self.world_from_camera.rotate(facing);
+            }
+        }
         let colors = frame.rgb[3 * pixels.start..3 * pixels.end].as_chunks_mut::<3>().0;
         if let Some(light) = surface.flat_light.filter(|_| !surface.is_textured) {
             let [r, g, b, _] = surface.mesh.material.base_color;
@@ -119,7 +127,7 @@ impl Shading<'_> {
             let weights = surface.weights([ray_x * depth, ray_y * depth, depth]);
             let light = surface
                 .flat_light
-                .unwrap_or_else(|| surface.smooth_light(weights, [ray_x, ray_y, 1.0], &self.light));
+                .unwrap_or_else(|| self.light.on(surface.normal_at(weights, [ray_x, ray_y, 1.0])));
             *color = self.encode(surface.albedo(weights, self.srgb), light);
         }
     }
@@ -178,6 +186,8 @@ struct Surface<'a> {
     origin: [f32; 3],
     /// `dot(p - origin, gradient[i])` is the weight of corner i + 1 at a point p of the plane.
     gradient: [[f32; 3]; 2],
+    /// Unit normal that faces the eye, camera frame, where it is the same on the whole triangle.
+    flat_normal: Option<[f32; 3]>,
     /// Light on the whole triangle where it is the same everywhere.
     flat_light: Option<[f32; 3]>,
 }
@@ -225,6 +235,7 @@ impl<'a> Surface<'a> {
             origin: p[0],
             gradient: [cross(e2, normal), cross(normal, e1)]
                 .map(|g| g.map(|c| (c * inverse_square) as f32)),
+            flat_normal,
             flat_light: flat_normal.map(|n| light.on(n)),
             normal,
         }
@@ -248,12 +259,14 @@ impl<'a> Surface<'a> {
         [1.0 - second - third, second, third]
     }
 
-    /// Light where the vertex normals differ.
+    /// Unit normal that faces the eye, camera frame.
     #[inline(always)]
-    fn smooth_light(&self, weights: [f32; 3], ray: [f32; 3], light: &CameraLight) -> [f32; 3] {
-        let normals = self.corners.map(|vertex| self.mesh.normals[vertex]);
-        let n = normalized(self.camera_from_body.rotate(mix(normals, weights)));
-        light.on(if dot(n, ray) > 0.0 { n.map(|c| -c) } else { n })
+    fn normal_at(&self, weights: [f32; 3], ray: [f32; 3]) -> [f32; 3] {
+        self.flat_normal.unwrap_or_else(|| {
+            let normals = self.corners.map(|vertex| self.mesh.normals[vertex]);
+            let n = normalized(self.camera_from_body.rotate(mix(normals, weights)));
+            if dot(n, ray) > 0.0 { n.map(|c| -c) } else { n }
+        })
     }
 
     #[inline(always)]

@@ -21,7 +21,7 @@ pub(super) struct Transform {
 }
 
 impl Transform {
-    fn new(pose: &Pose) -> Self {
+    pub fn new(pose: &Pose) -> Self {
         let matrix = pose.rotation.to_rotation_matrix();
         let t = pose.translation.vector;
         Self {

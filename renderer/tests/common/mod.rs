@@ -113,6 +113,7 @@ pub fn camera(name: &str, eye: [f64; 3], target: [f64; 3], focal_mm: f64) -> Pla
             Translation3::from(eye.coords),
             UnitQuaternion::from_rotation_matrix(&rotation),
         ),
+        normals: false,
     }
 }
 

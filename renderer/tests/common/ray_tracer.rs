@@ -29,14 +29,7 @@ struct Hit<'a> {
 pub fn ray_traced(scene: &RenderScene, frame: &FrameState, camera: &PlacedCamera) -> CameraFrame {
     let triangles = triangles(scene, frame);
     let k = camera.intrinsics;
-    let mut image = CameraFrame {
-        name: camera.name.clone(),
-        intrinsics: k,
-        world_from_camera: camera.world_from_camera,
-        rgb: Vec::new(),
-        depth_m: Vec::new(),
-        segmentation: Vec::new(),
-    };
+    let mut image = CameraFrame::new(&camera.name, k, camera.world_from_camera);
     let eye = camera.world_from_camera.translation.vector;
     for v in 0..k.height {
         for u in 0..k.width {
