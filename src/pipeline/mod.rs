@@ -33,7 +33,7 @@ pub struct Context<'a> {
 impl Context<'_> {
     /// Where files are looked up: the folders given, then `$AKROBAT_ASSET_PATH`, then what the host
     /// has. (Files beside the file that names them come first of all.)
-    fn asset_search(&self, given: &[PathBuf]) -> Result<AssetSearch, Error> {
+    pub(crate) fn asset_search(&self, given: &[PathBuf]) -> Result<AssetSearch, Error> {
         if let Some(folder) = given.iter().find(|folder| !folder.is_dir()) {
             return Err(Error::Usage(format!("asset folder {} does not exist", folder.display())));
         }

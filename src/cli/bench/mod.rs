@@ -1,6 +1,7 @@
 //! `akrobat bench`: throughput on this machine.
 
 mod plan;
+mod render;
 
 use clap::{Args, Subcommand};
 
@@ -18,11 +19,13 @@ pub struct BenchArgs {
 #[derive(Debug, Subcommand)]
 enum Stage {
     Plan(plan::PlanBenchArgs),
+    Render(render::BenchRenderArgs),
 }
 
 /// Runs the verb.
 pub fn run(args: &BenchArgs, context: &Context<'_>) -> Result<Report, Error> {
     match &args.stage {
         Stage::Plan(args) => plan::run(args, context),
+        Stage::Render(args) => render::run(args, context),
     }
 }
