@@ -89,6 +89,11 @@ impl Esdf {
         self.origin
     }
 
+    /// Distances at the voxel centres, x fastest, then y, metres.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
     /// Writes unsigned squared-root-free exact distances into the band around every triangle. Gives
     /// the nearest triangle of each voxel of the band.
     fn rasterise(&mut self, triangles: &[[Vector3<f64>; 3]]) -> Vec<u32> {

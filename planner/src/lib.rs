@@ -15,6 +15,7 @@ pub mod dense;
 pub mod esdf;
 pub mod grasp;
 pub mod ik;
+pub mod kernels;
 pub mod kinematics;
 pub mod plan;
 pub mod ptp;

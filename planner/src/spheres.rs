@@ -42,10 +42,25 @@ pub struct SphereModel {
     pub fits: Vec<SphereFit>,
 }
 
-/// Largest number of spheres of one link.
-const MAX_PER_LINK: usize = 64;
-/// Fitting stops where this fraction of the surface is covered.
-const COVERAGE_GOAL: f64 = 0.975;
+/// How closely spheres are fitted to a link.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closeness {
+    /// How far a sphere may reach beyond the surface, metres.
+    pub protrusion_m: f64,
+    /// Largest number of spheres of one link.
+    pub most_per_link: usize,
+    /// Fitting stops where this fraction of the surface is covered.
+    pub coverage: f64,
+}
+
+impl Closeness {
+    /// What planning uses: spheres of about `voxel_m` in diameter, or by the size of the link.
+    fn of_link(extent: &Vector3<f64>, voxel_m: Option<f64>) -> Self {
+        let protrusion_m = voxel_m.map_or(0.06 * extent.norm(), |v| v / 2.0).clamp(0.006, 0.04);
+        Self { protrusion_m, most_per_link: 64, coverage: 0.975 }
+    }
+}
+
 /// Number of candidate centres and of surface samples, at most.
 const MAX_CANDIDATES: usize = 2500;
 const MAX_SAMPLES: usize = 2500;
@@ -63,6 +78,18 @@ pub fn of_robot(robot: &Robot, yaml: Option<&Path>) -> Result<SphereModel, Model
 
 /// Fits spheres to every link that has geometry.
 pub fn fit(tree: &KinematicTree, voxel_m: Option<f64>) -> SphereModel {
+    fit_with(tree, &|extent| Closeness::of_link(extent, voxel_m))
+}
+
+/// Fits spheres to every link that has geometry, all as closely.
+pub fn fit_closely(tree: &KinematicTree, closeness: Closeness) -> SphereModel {
+    fit_with(tree, &|_| closeness)
+}
+
+fn fit_with(
+    tree: &KinematicTree,
+    closeness: &(dyn Fn(&Vector3<f64>) -> Closeness + Sync),
+) -> SphereModel {
     use rayon::prelude::*;
     let indices: Vec<usize> = (0..tree.links().len()).collect();
     let fitted: Vec<_> = indices
@@ -70,7 +97,7 @@ pub fn fit(tree: &KinematicTree, voxel_m: Option<f64>) -> SphereModel {
         .filter_map(|&index| {
             let triangles = link_triangles(&tree.links()[index]);
             (!triangles.is_empty())
-                .then(|| fit_link(index, &tree.links()[index], &triangles, voxel_m))
+                .then(|| fit_link(index, &tree.links()[index], &triangles, closeness))
         })
         .collect();
     let mut model = SphereModel { spheres: Vec::new(), fits: Vec::new() };
@@ -95,13 +122,14 @@ fn fit_link(
     index: usize,
     link: &Link,
     triangles: &Triangles,
-    voxel_m: Option<f64>,
+    closeness: &(dyn Fn(&Vector3<f64>) -> Closeness + Sync),
 ) -> (Vec<Sphere>, SphereFit) {
     let corners = triangles.iter().flatten();
     let low = corners.clone().fold(Vector3::repeat(f64::INFINITY), |a, c| a.inf(c));
     let high = corners.fold(Vector3::repeat(f64::NEG_INFINITY), |a, c| a.sup(c));
     let extent = high - low;
-    let protrusion = voxel_m.map_or(0.06 * extent.norm(), |v| v / 2.0).clamp(0.006, 0.04);
+    let closeness = closeness(&extent);
+    let protrusion = closeness.protrusion_m;
     let voxel = (extent.product().max(1e-9) / 30_000.0).cbrt().clamp(0.003, 0.03);
     let pad = Vector3::repeat(3.0 * voxel);
     let seed = [low - pad];
@@ -114,7 +142,7 @@ fn fit_link(
     thin_out(&mut shallow, MAX_CANDIDATES / 2);
     candidates.extend(shallow);
 
-    let chosen = greedy_cover(&candidates, &samples);
+    let chosen = greedy_cover(&candidates, &samples, &closeness);
     let covered =
         samples.iter().filter(|s| chosen.iter().any(|(c, r)| (*s - c).norm() <= *r)).count();
     let report = SphereFit {
@@ -163,6 +191,7 @@ fn thin_out<T>(items: &mut Vec<T>, most: usize) {
 fn greedy_cover(
     candidates: &[(Vector3<f64>, f64)],
     samples: &[Vector3<f64>],
+    closeness: &Closeness,
 ) -> Vec<(Vector3<f64>, f64)> {
     let covers: Vec<Vec<u32>> = candidates
         .iter()
@@ -174,9 +203,9 @@ fn greedy_cover(
     let mut covered = vec![false; samples.len()];
     let mut gains: Vec<usize> = covers.iter().map(Vec::len).collect();
     let mut remaining = samples.len();
-    let enough = samples.len() - (samples.len() as f64 * COVERAGE_GOAL) as usize;
+    let enough = samples.len() - (samples.len() as f64 * closeness.coverage) as usize;
     let mut chosen = Vec::new();
-    while remaining > enough && chosen.len() < MAX_PER_LINK {
+    while remaining > enough && chosen.len() < closeness.most_per_link {
         // Gains only shrink: a candidate whose stale gain is not the best need not be counted again.
         let mut best = (0, 0);
         for (index, gain) in gains.iter_mut().enumerate() {
