@@ -9,6 +9,7 @@ use crate::JudgeError;
 use crate::convex::ConvexPiece;
 use crate::kinematics::Frame;
 use crate::shapes::Triangles;
+use crate::travel;
 
 /// What a triangle or a solid of an [`Obstacle`] belongs to.
 #[derive(Debug, Clone)]
@@ -90,6 +91,12 @@ impl ObstacleBuilder {
 }
 
 impl Obstacle {
+    /// The box around everything of it; `None` where it is empty.
+    pub fn bounds(&self) -> Option<Aabb> {
+        let triangles = self.triangles.iter().map(|t| Aabb::from_points(t.iter().copied()));
+        travel::around(triangles.chain(self.solids.iter().map(|s| s.bounds)))
+    }
+
     /// A link of the object, in the link's frame: the triangles of its visuals and collision shapes,
     /// and the convex solids among the latter.
     ///

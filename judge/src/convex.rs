@@ -36,6 +36,10 @@ pub struct ConvexPiece {
     pub planes: Vec<Plane>,
     /// Bounding box.
     pub bounds: Aabb,
+    /// Centre of a ball around it.
+    pub center: Vector,
+    /// Radius of that ball, metres.
+    pub radius: f64,
     /// Volume, cubic metres.
     pub volume: f64,
 }
@@ -66,7 +70,9 @@ impl ConvexPiece {
             return None;
         }
         let bounds = Aabb::from_points(vertices.iter().copied());
-        Some(Self { vertices, triangles, planes, bounds, volume })
+        let center = bounds.center();
+        let radius = vertices.iter().map(|v| v.distance(center)).fold(0.0, f64::max);
+        Some(Self { vertices, triangles, planes, bounds, center, radius, volume })
     }
 
     /// Signed distance of a point to the nearest face plane, negative inside, metres.

@@ -5,6 +5,9 @@ use akrobat_model::task::Task;
 use akrobat_model::trajectory::ContactException;
 use akrobat_model::{Phase, Trajectory, Verdict};
 
+use parry3d_f64::bounding_volume::Aabb;
+use parry3d_f64::math::Vector;
+
 use crate::bodies::{Obstacle, link_solids};
 use crate::contacts::{ContactTable, LinkPairs, RobotGroups, contact_table};
 use crate::convex::ConvexPiece;
@@ -16,6 +19,7 @@ use crate::object::{self, StartDepths};
 use crate::path::{Configuration, Place, configurations};
 use crate::spheres::{self, RobotSphere, SpherePair};
 use crate::structure;
+use crate::travel::{self, Travel};
 use crate::{JudgeConfig, JudgeError};
 
 /// Robot, object and scene, prepared for the collision checks.
@@ -44,6 +48,10 @@ pub struct Geometry {
     pub moving_solids: Vec<(usize, ConvexPiece)>,
     /// How deep they are in everything else at the start.
     pub start_depths: StartDepths,
+    /// Bounds of the spheres and solids of each robot link, in its frame.
+    pub link_bounds: Vec<Option<Aabb>>,
+    /// Bounds of each object link, in its frame.
+    pub object_bounds: Vec<Option<Aabb>>,
 }
 
 impl Geometry {
@@ -63,6 +71,10 @@ pub struct Scenery {
     pub object: Vec<Frame>,
     /// For each obstacle.
     pub obstacle_from_world: Vec<Frame>,
+    /// The ways of the robot's links.
+    pub robot_travel: Vec<Travel>,
+    /// The ways of the obstacles.
+    pub obstacle_travel: Vec<Travel>,
 }
 
 /// Judges trajectories of one task. It is built once and used from any number of threads.
@@ -167,7 +179,8 @@ impl Judge {
         structure::check(trajectory, robot_columns, self.task.object.tree.dof())?;
         let held_link = self.held_link(trajectory)?;
         let configurations = configurations(trajectory, self.config.configurations_between);
-        let sceneries: Vec<Scenery> = configurations.iter().map(|c| self.scenery(c)).collect();
+        let mut sceneries: Vec<Scenery> = configurations.iter().map(|c| self.scenery(c)).collect();
+        measure_travel(&self.geometry, &mut sceneries);
         verdict.samples = configurations.len() as u32;
 
         let motion = self.motion(trajectory, held_link, &configurations, &sceneries);
@@ -249,8 +262,30 @@ impl Scenery {
     /// Places the links, and from them the obstacles.
     pub fn new(place: Place, robot: Vec<Frame>, object: Vec<Frame>) -> Self {
         let links = object.iter().map(Frame::inverse);
-        let obstacle_from_world = std::iter::once(Frame::IDENTITY).chain(links).collect();
-        Self { place, robot, object, obstacle_from_world }
+        let obstacle_from_world: Vec<Frame> =
+            std::iter::once(Frame::IDENTITY).chain(links).collect();
+        Self {
+            place,
+            robot_travel: vec![0.0; robot.len()],
+            obstacle_travel: vec![0.0; obstacle_from_world.len()],
+            robot,
+            object,
+            obstacle_from_world,
+        }
+    }
+}
+
+/// Fills in the ways of links and obstacles along a path.
+fn measure_travel(geometry: &Geometry, sceneries: &mut [Scenery]) {
+    for index in 1..sceneries.len() {
+        let (earlier, later) = sceneries.split_at_mut(index);
+        let (before, now) = (&earlier[index - 1], &mut later[0]);
+        let robot = Some((&before.robot[..], &before.robot_travel[..]));
+        now.robot_travel = travel::after(&geometry.link_bounds, robot, &now.robot);
+        // The scene, which comes first, stays where it is.
+        let object = Some((&before.object[..], &before.obstacle_travel[1..]));
+        let links = travel::after(&geometry.object_bounds, object, &now.object);
+        now.obstacle_travel = std::iter::once(0.0).chain(links).collect();
     }
 }
 
@@ -287,8 +322,10 @@ fn geometry(
         link_names: robot.links().iter().map(|link| link.name.clone()).collect(),
         spheres: spheres.to_vec(),
         sphere_pairs: Vec::new(),
+        link_bounds: link_bounds(robot.links().len(), spheres, &solids),
         robot_solids: solids,
         solid_pairs: Vec::new(),
+        object_bounds: obstacles[1..].iter().map(Obstacle::bounds).collect(),
         contacts: contact_table(task, &obstacles, groups, exceptions)?,
         handle_region: task.object.handle_region,
         object_link_names: object.links().iter().map(|link| link.name.clone()).collect(),
@@ -297,6 +334,20 @@ fn geometry(
         start_depths: StartDepths::new(),
         obstacles,
     })
+}
+
+fn link_bounds(
+    links: usize,
+    spheres: &[RobotSphere],
+    solids: &[(usize, ConvexPiece)],
+) -> Vec<Option<Aabb>> {
+    let of_link = |link: usize| {
+        let balls = spheres.iter().filter(move |s| s.link == link);
+        let balls = balls.map(|s| travel::ball(Vector::from(s.center), s.radius));
+        let solids = solids.iter().filter(move |(l, _)| *l == link).map(|(_, s)| s.bounds);
+        travel::around(balls.chain(solids))
+    };
+    (0..links).map(of_link).collect()
 }
 
 fn note_floors(scene: &Obstacle, notes: &mut Vec<String>) {

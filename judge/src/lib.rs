@@ -27,6 +27,7 @@ mod real_inputs;
 mod shapes;
 mod spheres;
 mod structure;
+mod travel;
 
 pub use config::JudgeConfig;
 pub use error::JudgeError;

@@ -1,7 +1,5 @@
 //! The robot's solids against the scene's and the object's meshes and against each other.
 
-use std::collections::HashMap;
-
 use akrobat_model::Rejection;
 
 use crate::contacts::{Contact, LinkPairs};
@@ -9,8 +7,9 @@ use crate::convex::{Deepest, DepthProbe};
 use crate::finding::Finding;
 use crate::judge::{Geometry, Scenery};
 use crate::kinematics::Frame;
-use crate::near::{Gap, Intrusions, Near, surface_in_solid};
+use crate::near::{Gap, Intrusions, Near, solids_in_each_other};
 use crate::path::Place;
+use crate::travel::Travel;
 
 /// Shallower contacts are not told apart from none, metres.
 const TOUCH_M: f64 = 1e-4;
@@ -73,11 +72,11 @@ pub fn deepest(geometry: &Geometry, sceneries: &[Scenery]) -> Penetration {
     let obstacles = geometry.obstacles.len();
     let mut near: Vec<Option<Near>> = Vec::new();
     near.resize_with(geometry.robot_solids.len() * obstacles, || None);
-    let mut gaps = HashMap::new();
+    let mut gaps = vec![Gap::default(); geometry.solid_pairs.len()];
     for scenery in sceneries {
         for (index, (link, solid)) in geometry.robot_solids.iter().enumerate() {
             for (o, obstacle) in geometry.obstacles.iter().enumerate() {
-                let obstacle_from_link = scenery.obstacle_from_world[o].then(&scenery.robot[*link]);
+                let travel = scenery.robot_travel[*link] + scenery.obstacle_travel[o];
                 let mut intrusions = RobotIntrusions {
                     geometry,
                     contacts: &geometry.contacts[*link][o],
@@ -92,18 +91,23 @@ pub fn deepest(geometry: &Geometry, sceneries: &[Scenery]) -> Penetration {
                     &mut probe,
                     solid,
                     obstacle,
-                    &obstacle_from_link,
+                    || scenery.obstacle_from_world[o].then(&scenery.robot[*link]),
+                    travel,
                     &mut intrusions,
                 );
             }
         }
-        for &(a, b) in &geometry.solid_pairs {
+        for (&(a, b), gap) in geometry.solid_pairs.iter().zip(&mut gaps) {
             let floor_m = worst.depth_m.max(TOUCH_M);
-            if let Some(depth_m) =
-                pair_depth(geometry, &mut probe, &mut gaps, &scenery.robot, [a, b], floor_m)
-            {
-                let [link_a, link_b] =
-                    [a, b].map(|s| &geometry.link_names[geometry.robot_solids[s].0]);
+            let [link_a, link_b] = [a, b].map(|s| geometry.robot_solids[s].0);
+            let travel = scenery.robot_travel[link_a] + scenery.robot_travel[link_b];
+            if gap.holds(travel) {
+                continue;
+            }
+            let found =
+                pair_depth(geometry, &mut probe, &scenery.robot, [a, b], travel, gap, floor_m);
+            if let Some(depth_m) = found {
+                let [link_a, link_b] = [link_a, link_b].map(|link| &geometry.link_names[link]);
                 let place = scenery.place;
                 worst = Penetration {
                     depth_m,
@@ -138,9 +142,9 @@ pub fn penetrating_links(
     tolerance_m: f64,
 ) -> Vec<[usize; 2]> {
     let mut probe = DepthProbe::default();
-    let mut gaps = HashMap::new();
     let penetrating = geometry.solid_pairs.iter().filter(|&&(a, b)| {
-        pair_depth(geometry, &mut probe, &mut gaps, robot, [a, b], tolerance_m).is_some()
+        let gap = &mut Gap::default();
+        pair_depth(geometry, &mut probe, robot, [a, b], 0.0, gap, tolerance_m).is_some()
     });
     penetrating.map(|&(a, b)| [geometry.robot_solids[a].0, geometry.robot_solids[b].0]).collect()
 }
@@ -148,18 +152,15 @@ pub fn penetrating_links(
 fn pair_depth(
     geometry: &Geometry,
     probe: &mut DepthProbe,
-    gaps: &mut HashMap<[usize; 2], Option<Gap>>,
     robot: &[Frame],
     [a, b]: [usize; 2],
+    travel: Travel,
+    gap: &mut Gap,
     floor_m: f64,
 ) -> Option<f64> {
     let (link_a, solid_a) = &geometry.robot_solids[a];
     let (link_b, solid_b) = &geometry.robot_solids[b];
     let b_from_a = robot[*link_b].inverse().then(&robot[*link_a]);
-    let mut depth = |from, into, frame: &Frame, key| {
-        surface_in_solid(probe, from, into, frame, gaps.entry(key).or_default(), floor_m)
-    };
-    let a_in_b = depth(solid_a, solid_b, &b_from_a, [a, b]);
-    let b_in_a = depth(solid_b, solid_a, &b_from_a.inverse(), [b, a]);
-    [a_in_b, b_in_a].into_iter().flatten().map(|deepest| deepest.depth_m).reduce(f64::max)
+    let found = solids_in_each_other(probe, solid_a, solid_b, &b_from_a, travel, gap, floor_m);
+    found.map(|deepest| deepest.depth_m)
 }

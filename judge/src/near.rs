@@ -1,5 +1,4 @@
-//! Pairs of moving bodies, with what is known about them from the configurations before: neighbouring
-//! configurations differ little, so most pairs need no look at all.
+//! Pairs of moving bodies, with what is known about them from the configurations before.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
@@ -7,66 +6,142 @@ use parry3d_f64::math::Vector;
 use crate::bodies::Obstacle;
 use crate::convex::{ConvexPiece, Deepest, DepthProbe, Plane};
 use crate::kinematics::Frame;
+use crate::travel::Travel;
 
 /// Everything nearer than this is gathered at once, metres.
 const MARGIN_M: f64 = 0.04;
+/// Where there is nothing within this, it is not looked at again before it can be there, metres.
+const WIDE_MARGIN_M: f64 = 0.3;
+/// A gap of this size is worth no search for the face with the largest, metres.
+const WIDE_GAP_M: f64 = 0.02;
 
-/// The corners of a box in another frame. While a body moves, none of its points moves farther than
-/// the farthest corner of a box around it.
+/// What is known about a pair of solids.
 #[derive(Debug, Clone, Copy)]
-pub struct Corners([Vector; 8]);
-
-impl Corners {
-    /// The corners of `bounds`, given in the inner frame, in the outer one.
-    pub fn of(bounds: &Aabb, frame: &Frame) -> Self {
-        Self(bounds.vertices().map(|corner| frame.point(corner)))
-    }
-
-    /// How far a point of the box can have moved, metres.
-    pub fn moved_since(&self, earlier: &Self) -> f64 {
-        let squares = self.0.iter().zip(&earlier.0).map(|(a, b)| a.distance_squared(*b));
-        squares.fold(0.0, f64::max).sqrt()
-    }
-}
-
-/// The gap between two solids when it was last measured.
-#[derive(Debug, Clone)]
 pub struct Gap {
-    corners: Corners,
-    gap_m: f64,
+    /// They are apart until their ways sum up to this.
+    free_until: Travel,
+    /// Faces of either solid that last had all of the other outside.
+    faces: [u32; 2],
 }
 
-/// The deepest point of the surface of `a` inside `b`, in the frame of `b`, if deeper than `floor_m`.
-pub fn surface_in_solid(
+impl Default for Gap {
+    fn default() -> Self {
+        Self { free_until: f64::NEG_INFINITY, faces: [0; 2] }
+    }
+}
+
+impl Gap {
+    /// True where the two solids cannot touch.
+    pub fn holds(&self, travel: Travel) -> bool {
+        travel < self.free_until
+    }
+}
+
+/// The smallest distance of the corners of `a` from a face of `b`, largest over the faces; `face` is tried first and
+/// becomes the one with the distance given. Positive where that face separates the solids.
+fn separation(a: &[Vector], planes: &[Plane], face: &mut u32) -> f64 {
+    let beyond = |plane: &Plane| a.iter().map(|&v| plane.distance(v)).fold(f64::MAX, f64::min);
+    let mut best = beyond(&planes[*face as usize]);
+    if best > WIDE_GAP_M {
+        return best;
+    }
+    for (index, plane) in planes.iter().enumerate() {
+        // One corner that is not farther out than the best tells enough of a face.
+        if plane.distance(a[0]) > best {
+            let distance = beyond(plane);
+            if distance > best {
+                (best, *face) = (distance, index as u32);
+            }
+        }
+    }
+    best
+}
+
+/// The deepest point of either solid's surface inside the other, in the frame of `b`, if deeper than `floor_m`.
+/// `travel` is the sum of both ways.
+pub fn solids_in_each_other(
     probe: &mut DepthProbe,
     a: &ConvexPiece,
     b: &ConvexPiece,
     b_from_a: &Frame,
-    memory: &mut Option<Gap>,
+    travel: Travel,
+    memory: &mut Gap,
     floor_m: f64,
 ) -> Option<Deepest> {
-    let corners = Corners::of(&a.bounds, b_from_a);
-    if memory.as_ref().is_some_and(|gap| corners.moved_since(&gap.corners) < gap.gap_m) {
+    if memory.holds(travel) {
         return None;
     }
-    *memory = None;
-    let vertices: Vec<Vector> = a.vertices.iter().map(|&v| b_from_a.point(v)).collect();
-    let gap_m = b
-        .planes
-        .iter()
-        .map(|plane| vertices.iter().map(|&v| plane.distance(v)).fold(f64::MAX, f64::min))
-        .fold(f64::MIN, f64::max);
-    if gap_m > 0.0 {
-        *memory = Some(Gap { corners, gap_m });
-    }
-    if gap_m >= -floor_m {
+    let apart = b_from_a.point(a.center).distance(b.center) - a.radius - b.radius;
+    if apart > 0.0 {
+        memory.free_until = travel + apart;
         return None;
     }
+    let a_in_b = placed(&a.vertices, b_from_a);
+    let gap = separation(&a_in_b, &b.planes, &mut memory.faces[0]);
+    if gap > 0.0 {
+        memory.free_until = travel + gap;
+        return None;
+    }
+    let a_from_b = b_from_a.inverse();
+    let b_in_a = placed(&b.vertices, &a_from_b);
+    let other_gap = separation(&b_in_a, &a.planes, &mut memory.faces[1]);
+    if other_gap > 0.0 {
+        memory.free_until = travel + other_gap;
+        return None;
+    }
+    if gap.max(other_gap) >= -floor_m {
+        return None;
+    }
+    let into_b = deepest_of(probe, a, &a_in_b, &b.planes, floor_m);
+    let floor_m = into_b.map_or(floor_m, |deepest| deepest.depth_m);
+    let into_a = deepest_of(probe, b, &b_in_a, &a.planes, floor_m);
+    into_a.map(|d| Deepest { point: b_from_a.point(d.point), ..d }).or(into_b)
+}
+
+/// The deepest point of the surface of `a` inside `b`, in the frame of `b`, if deeper than `floor_m`.
+fn surface_in_solid(
+    probe: &mut DepthProbe,
+    a: &ConvexPiece,
+    b: &ConvexPiece,
+    b_from_a: &Frame,
+    travel: Travel,
+    memory: &mut Gap,
+    floor_m: f64,
+) -> Option<Deepest> {
+    if memory.holds(travel) {
+        return None;
+    }
+    let apart = b_from_a.point(a.center).distance(b.center) - a.radius - b.radius;
+    if apart > 0.0 {
+        memory.free_until = travel + apart;
+        return None;
+    }
+    let vertices = placed(&a.vertices, b_from_a);
+    let gap = separation(&vertices, &b.planes, &mut memory.faces[0]);
+    if gap > 0.0 {
+        memory.free_until = travel + gap;
+        return None;
+    }
+    if gap >= -floor_m { None } else { deepest_of(probe, a, &vertices, &b.planes, floor_m) }
+}
+
+fn placed(points: &[Vector], frame: &Frame) -> Vec<Vector> {
+    points.iter().map(|&point| frame.point(point)).collect()
+}
+
+/// The deepest point of a solid's surface, whose corners are at `vertices`, inside `planes`.
+fn deepest_of(
+    probe: &mut DepthProbe,
+    solid: &ConvexPiece,
+    vertices: &[Vector],
+    planes: &[Plane],
+    floor_m: f64,
+) -> Option<Deepest> {
     let mut best: Option<Deepest> = None;
-    for triangle in &a.triangles {
+    for triangle in &solid.triangles {
         let triangle = triangle.map(|vertex| vertices[vertex as usize]);
         let floor_m = best.map_or(floor_m, |deepest| deepest.depth_m);
-        best = probe.deepest(&b.planes, &triangle, floor_m).or(best);
+        best = probe.deepest(planes, &triangle, floor_m).or(best);
     }
     best
 }
@@ -81,72 +156,127 @@ pub trait Intrusions {
     fn found(&mut self, owner: u32, deepest: Deepest);
 }
 
+/// A triangle near a solid.
+#[derive(Debug)]
+struct NearTriangle {
+    index: u32,
+    /// The face of the solid that last kept it out, and for how long it does.
+    face: u32,
+    free_until: Travel,
+}
+
 /// What of an obstacle is near a solid.
 #[derive(Debug)]
 pub struct Near {
-    corners: Corners,
-    /// Triangles, with the face of the solid that last kept each of them out.
-    triangles: Vec<(u32, u32)>,
-    solids: Vec<(u32, Option<Gap>)>,
+    /// Nothing else comes near until the ways sum up to this.
+    complete_until: Travel,
+    /// Nothing touches until then.
+    free_until: Travel,
+    triangles: Vec<NearTriangle>,
+    solids: Vec<(u32, Gap)>,
 }
 
 impl Near {
-    fn gather(corners: Corners, obstacle: &Obstacle, wanted: impl Fn(u32) -> bool) -> Self {
-        let reach = Aabb::from_points(corners.0).add_half_extents(Vector::splat(MARGIN_M));
+    fn gather(
+        solid: &ConvexPiece,
+        obstacle: &Obstacle,
+        obstacle_from_solid: &Frame,
+        travel: Travel,
+        wanted: impl Fn(u32) -> bool,
+    ) -> Self {
+        let corners = solid.bounds.vertices().map(|corner| obstacle_from_solid.point(corner));
+        let tight = Aabb::from_points(corners);
+        let wide = tight.add_half_extents(Vector::splat(WIDE_MARGIN_M));
+        let nothing = obstacle.triangle_bvh.intersect_aabb(&wide).next().is_none()
+            && obstacle.solid_bvh.intersect_aabb(&wide).next().is_none();
+        if nothing {
+            let complete_until = travel + WIDE_MARGIN_M;
+            let (triangles, solids) = (Vec::new(), Vec::new());
+            return Self { complete_until, free_until: complete_until, triangles, solids };
+        }
+        let reach = tight.add_half_extents(Vector::splat(MARGIN_M));
         let triangles = obstacle.triangle_bvh.intersect_aabb(&reach);
         let solids = obstacle.solid_bvh.intersect_aabb(&reach);
         Self {
-            corners,
+            complete_until: travel + MARGIN_M,
+            free_until: travel,
             triangles: triangles
                 .filter(|&t| wanted(obstacle.triangle_owners[t as usize]))
-                .map(|t| (t, 0))
+                .map(|index| NearTriangle { index, face: 0, free_until: f64::NEG_INFINITY })
                 .collect(),
             solids: solids
                 .filter(|&s| wanted(obstacle.solid_owners[s as usize]))
-                .map(|s| (s, None))
+                .map(|s| (s, Gap::default()))
                 .collect(),
         }
     }
 
     /// Reports how deep the obstacle's surfaces reach into `solid`, and the solid's surface into the
-    /// obstacle's solids. `memory` belongs to this pair.
+    /// obstacle's solids. `memory` belongs to this pair, `travel` is the sum of both ways; `obstacle_from_solid` is
+    /// asked for only where something is near.
     pub fn visit(
         memory: &mut Option<Self>,
         probe: &mut DepthProbe,
         solid: &ConvexPiece,
         obstacle: &Obstacle,
-        obstacle_from_solid: &Frame,
+        obstacle_from_solid: impl Fn() -> Frame,
+        travel: Travel,
         intrusions: &mut impl Intrusions,
     ) {
-        let corners = Corners::of(&solid.bounds, obstacle_from_solid);
-        let near = match memory {
-            Some(near) if corners.moved_since(&near.corners) < MARGIN_M => near,
-            _ => memory.insert(Self::gather(corners, obstacle, |owner| intrusions.wanted(owner))),
-        };
-        if !near.triangles.is_empty() {
-            let planes = moved_planes(&solid.planes, obstacle_from_solid);
-            for (index, keeps_out) in &mut near.triangles {
-                let triangle = &obstacle.triangles[*index as usize];
-                let owner = obstacle.triangle_owners[*index as usize];
-                let floor_m = intrusions.floor_m(owner);
-                let outside =
-                    |plane: &Plane| triangle.iter().all(|&v| plane.distance(v) >= -floor_m);
-                if outside(&planes[*keeps_out as usize]) {
-                    continue;
-                }
-                if let Some(plane) = planes.iter().position(outside) {
-                    *keeps_out = plane as u32;
-                } else if let Some(deepest) = probe.deepest(&planes, triangle, floor_m) {
-                    intrusions.found(owner, deepest);
-                }
-            }
+        if memory.as_ref().is_some_and(|near| travel < near.free_until) {
+            return;
         }
+        let frame = obstacle_from_solid();
+        let near = match memory {
+            Some(near) if travel < near.complete_until => near,
+            _ => {
+                let wanted = |owner| intrusions.wanted(owner);
+                memory.insert(Self::gather(solid, obstacle, &frame, travel, wanted))
+            }
+        };
+        near.surfaces_in(probe, solid, obstacle, &frame, travel, intrusions);
         for (index, gap) in &mut near.solids {
             let owner = obstacle.solid_owners[*index as usize];
             let other = &obstacle.solids[*index as usize];
             let floor_m = intrusions.floor_m(owner);
-            if let Some(deepest) =
-                surface_in_solid(probe, solid, other, obstacle_from_solid, gap, floor_m)
+            let found = surface_in_solid(probe, solid, other, &frame, travel, gap, floor_m);
+            if let Some(deepest) = found {
+                intrusions.found(owner, deepest);
+            }
+        }
+        near.update_free_until();
+    }
+
+    fn update_free_until(&mut self) {
+        let triangles = self.triangles.iter().map(|t| t.free_until);
+        let solids = self.solids.iter().map(|(_, gap)| gap.free_until);
+        self.free_until = triangles.chain(solids).fold(self.complete_until, f64::min);
+    }
+
+    fn surfaces_in(
+        &mut self,
+        probe: &mut DepthProbe,
+        solid: &ConvexPiece,
+        obstacle: &Obstacle,
+        obstacle_from_solid: &Frame,
+        travel: Travel,
+        intrusions: &mut impl Intrusions,
+    ) {
+        if self.triangles.iter().all(|t| travel < t.free_until) {
+            return;
+        }
+        let planes = moved_planes(&solid.planes, obstacle_from_solid);
+        for near in self.triangles.iter_mut().filter(|t| travel >= t.free_until) {
+            let triangle = &obstacle.triangles[near.index as usize];
+            let owner = obstacle.triangle_owners[near.index as usize];
+            let gap = separation(triangle, &planes, &mut near.face);
+            if gap > 0.0 {
+                near.free_until = travel + gap;
+                continue;
+            }
+            let floor_m = intrusions.floor_m(owner);
+            if gap < -floor_m
+                && let Some(deepest) = probe.deepest(&planes, triangle, floor_m)
             {
                 intrusions.found(owner, deepest);
             }

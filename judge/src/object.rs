@@ -51,9 +51,9 @@ pub fn start_depths(geometry: &Geometry, start: &Scenery) -> StartDepths {
             if geometry.is_moving_obstacle(o) {
                 continue;
             }
-            let frame = start.obstacle_from_world[o].then(&start.object[*link]);
+            let frame = || start.obstacle_from_world[o].then(&start.object[*link]);
             let mut recorder = Recorder { depths: &mut depths, solid, obstacle: o };
-            Near::visit(&mut None, &mut probe, piece, obstacle, &frame, &mut recorder);
+            Near::visit(&mut None, &mut probe, piece, obstacle, frame, 0.0, &mut recorder);
         }
     }
     depths
@@ -99,7 +99,8 @@ pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Op
                 if geometry.is_moving_obstacle(o) {
                     continue;
                 }
-                let frame = scenery.obstacle_from_world[o].then(&scenery.object[*link]);
+                let frame = || scenery.obstacle_from_world[o].then(&scenery.object[*link]);
+                let travel = scenery.obstacle_travel[1 + link] + scenery.obstacle_travel[o];
                 let mut deeper = DeeperThanAtStart {
                     depths: &geometry.start_depths,
                     solid,
@@ -108,7 +109,7 @@ pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Op
                     found: None,
                 };
                 let memory = &mut near[solid * obstacles + o];
-                Near::visit(memory, &mut probe, piece, obstacle, &frame, &mut deeper);
+                Near::visit(memory, &mut probe, piece, obstacle, frame, travel, &mut deeper);
                 if let Some((owner, depth_m)) = deeper.found {
                     let name = &geometry.object_link_names[*link];
                     let other = &obstacle.owners[owner as usize].label;

@@ -11,10 +11,10 @@ use crate::contacts::{Contact, LinkPairs};
 use crate::finding::Finding;
 use crate::judge::{Geometry, Scenery};
 use crate::kinematics::Frame;
-use crate::near::Corners;
+use crate::travel::Travel;
 
 /// Distances are measured up to this far from a sphere's surface, metres.
-const REACH_M: f64 = 0.06;
+const REACH_M: f64 = 0.3;
 
 /// A collision sphere of the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,57 +27,114 @@ pub struct RobotSphere {
     pub radius: f64,
 }
 
+/// The spheres of one link.
+struct Carried {
+    link: usize,
+    spheres: Vec<usize>,
+}
+
+/// When spheres can have come to an obstacle at the earliest, given by the sum of both ways.
+#[derive(Clone)]
+struct FreeUntil {
+    all: Travel,
+    each: Vec<Travel>,
+}
+
 /// The first overlap of a sphere with something it must not touch.
 pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Option<Finding> {
-    let spheres = &geometry.spheres;
-    let obstacles = geometry.obstacles.len();
-    // Where each sphere was last measured against each obstacle, and the free distance found there.
-    let mut measured: Vec<Option<(Vector, f64)>> = vec![None; spheres.len() * obstacles];
-    let mut gaps: Vec<Measured> = vec![None; geometry.sphere_pairs.len()];
+    let carried = carried(&geometry.spheres);
+    let mut free: Vec<Vec<FreeUntil>> = carried
+        .iter()
+        .map(|c| {
+            let unknown = f64::NEG_INFINITY;
+            let each = vec![unknown; c.spheres.len()];
+            vec![FreeUntil { all: unknown, each }; geometry.obstacles.len()]
+        })
+        .collect();
+    let mut apart_until = vec![f64::NEG_INFINITY; geometry.sphere_pairs.len()];
     for scenery in sceneries {
-        let centers = centers(spheres, &scenery.robot);
-        for (index, (sphere, &center)) in spheres.iter().zip(&centers).enumerate() {
-            for (o, obstacle) in geometry.obstacles.iter().enumerate() {
-                let local = scenery.obstacle_from_world[o].point(center);
-                let memory = &mut measured[index * obstacles + o];
-                if memory.is_some_and(|(at, free)| local.distance(at) < free + tolerance_m) {
-                    continue;
-                }
-                let contacts = &geometry.contacts[sphere.link][o];
-                let (distance, owner) =
-                    clearance(obstacle, contacts, local, sphere.radius + REACH_M);
-                let free = distance - sphere.radius;
-                *memory = Some((local, free));
-                if free < -tolerance_m {
-                    let owner = owner.map_or("", |owner| &obstacle.owners[owner as usize].label);
-                    let link = &geometry.link_names[sphere.link];
-                    return Some(Finding::new(
-                        Rejection::SphereCollision,
-                        format!(
-                            "{}: a sphere of link \"{link}\" (radius {:.3} m) is {:.1} mm inside {owner}",
-                            scenery.place,
-                            sphere.radius,
-                            -free * 1e3
-                        ),
-                    ));
+        for (carried, free) in carried.iter().zip(&mut free) {
+            for (o, free) in free.iter_mut().enumerate() {
+                let travel = scenery.robot_travel[carried.link] + scenery.obstacle_travel[o];
+                if travel >= free.all
+                    && let Some(finding) =
+                        against_obstacle(geometry, scenery, carried, o, travel, tolerance_m, free)
+                {
+                    return Some(finding);
                 }
             }
         }
-        for (pair, memory) in geometry.sphere_pairs.iter().zip(&mut gaps) {
-            let overlap = -pair.gap(spheres, &centers, &scenery.robot, tolerance_m, memory);
-            if overlap > tolerance_m {
+        for (pair, apart_until) in geometry.sphere_pairs.iter().zip(&mut apart_until) {
+            let travel: f64 = pair.links.iter().map(|&link| scenery.robot_travel[link]).sum();
+            if travel < *apart_until {
+                continue;
+            }
+            let gap = pair.gap(&geometry.spheres, &scenery.robot);
+            *apart_until = travel + gap + tolerance_m;
+            if gap < -tolerance_m {
                 let [link_a, link_b] = pair.links.map(|link| &geometry.link_names[link]);
                 return Some(Finding::new(
                     Rejection::SphereCollision,
                     format!(
                         "{}: spheres of links \"{link_a}\" and \"{link_b}\" overlap by {:.1} mm",
                         scenery.place,
-                        overlap * 1e3
+                        -gap * 1e3
                     ),
                 ));
             }
         }
     }
+    None
+}
+
+fn carried(spheres: &[RobotSphere]) -> Vec<Carried> {
+    let mut out: Vec<Carried> = Vec::new();
+    for (index, sphere) in spheres.iter().enumerate() {
+        match out.iter_mut().find(|c| c.link == sphere.link) {
+            Some(carried) => carried.spheres.push(index),
+            None => out.push(Carried { link: sphere.link, spheres: vec![index] }),
+        }
+    }
+    out
+}
+
+/// Measures those of a link's spheres that can have come to an obstacle.
+fn against_obstacle(
+    geometry: &Geometry,
+    scenery: &Scenery,
+    carried: &Carried,
+    o: usize,
+    travel: Travel,
+    tolerance_m: f64,
+    free: &mut FreeUntil,
+) -> Option<Finding> {
+    let obstacle = &geometry.obstacles[o];
+    let contacts = &geometry.contacts[carried.link][o];
+    let obstacle_from_link = scenery.obstacle_from_world[o].then(&scenery.robot[carried.link]);
+    for (&index, free_until) in carried.spheres.iter().zip(&mut free.each) {
+        if travel < *free_until {
+            continue;
+        }
+        let sphere = &geometry.spheres[index];
+        let center = obstacle_from_link.point(Vector::from(sphere.center));
+        let (distance, owner) = clearance(obstacle, contacts, center, sphere.radius + REACH_M);
+        let gap = distance - sphere.radius;
+        *free_until = travel + gap + tolerance_m;
+        if gap < -tolerance_m {
+            let owner = owner.map_or("", |owner| &obstacle.owners[owner as usize].label);
+            let link = &geometry.link_names[carried.link];
+            return Some(Finding::new(
+                Rejection::SphereCollision,
+                format!(
+                    "{}: a sphere of link \"{link}\" (radius {:.3} m) is {:.1} mm inside {owner}",
+                    scenery.place,
+                    sphere.radius,
+                    -gap * 1e3
+                ),
+            ));
+        }
+    }
+    free.all = free.each.iter().copied().fold(f64::INFINITY, f64::min);
     None
 }
 
@@ -88,37 +145,22 @@ pub struct SpherePair {
     pub links: [usize; 2],
     /// Spheres of each link.
     spheres: [Vec<usize>; 2],
-    /// Box around the centres of the second link's spheres, in that link's frame.
-    bounds: Aabb,
 }
 
-/// The gap between two links' spheres when it was last measured, and where they were.
-type Measured = Option<(Corners, f64)>;
-
 impl SpherePair {
-    /// Smallest free distance between spheres of the two links, negative where they overlap; infinite
-    /// where the links have moved too little since the last measurement to have come together.
-    fn gap(
-        &self,
-        spheres: &[RobotSphere],
-        centers: &[Vector],
-        robot: &[Frame],
-        tolerance_m: f64,
-        memory: &mut Measured,
-    ) -> f64 {
+    /// Smallest free distance between spheres of the two links, metres; negative where they overlap.
+    fn gap(&self, spheres: &[RobotSphere], robot: &[Frame]) -> f64 {
         let [link_a, link_b] = self.links;
-        let corners = Corners::of(&self.bounds, &robot[link_a].inverse().then(&robot[link_b]));
-        if let Some((earlier, gap)) = memory
-            && corners.moved_since(earlier) < *gap + tolerance_m
-        {
-            return f64::INFINITY;
-        }
+        let b_from_a = robot[link_b].inverse().then(&robot[link_a]);
         let [of_a, of_b] = &self.spheres;
-        let pairs = of_a.iter().flat_map(|&a| of_b.iter().map(move |&b| (a, b)));
-        let gap = pairs
-            .map(|(a, b)| centers[a].distance(centers[b]) - spheres[a].radius - spheres[b].radius)
-            .fold(f64::INFINITY, f64::min);
-        *memory = Some((corners, gap));
+        let mut gap = f64::INFINITY;
+        for &a in of_a {
+            let center = b_from_a.point(Vector::from(spheres[a].center));
+            for &b in of_b {
+                let distance = center.distance(Vector::from(spheres[b].center));
+                gap = gap.min(distance - spheres[a].radius - spheres[b].radius);
+            }
+        }
         gap
     }
 }
@@ -135,7 +177,6 @@ pub fn pairs(spheres: &[RobotSphere], links: &LinkPairs) -> Vec<SpherePair> {
         .map(|(a, b)| SpherePair {
             links: [a, b],
             spheres: [a, b].map(|link| of_link(link).collect()),
-            bounds: Aabb::from_points(of_link(b).map(|s| Vector::from(spheres[s].center))),
         })
         .collect()
 }
@@ -146,13 +187,8 @@ pub fn overlapping_links(
     pairs: &[SpherePair],
     robot: &[Frame],
 ) -> Vec<[usize; 2]> {
-    let centers = centers(spheres, robot);
-    let overlaps = |pair: &&SpherePair| pair.gap(spheres, &centers, robot, 0.0, &mut None) < 0.0;
+    let overlaps = |pair: &&SpherePair| pair.gap(spheres, robot) < 0.0;
     pairs.iter().filter(overlaps).map(|pair| pair.links).collect()
-}
-
-fn centers(spheres: &[RobotSphere], robot: &[Frame]) -> Vec<Vector> {
-    spheres.iter().map(|s| robot[s.link].point(Vector::from(s.center))).collect()
 }
 
 /// Distance of a point to the nearest surface that must not be touched, negative inside a solid, and
@@ -163,19 +199,20 @@ fn clearance(
     point: Vector,
     reach_m: f64,
 ) -> (f64, Option<u32>) {
-    let mut nearest = (reach_m, None);
     let checked = |owner: u32| contacts[owner as usize] == Contact::Forbidden;
-    let around = Aabb::from_half_extents(point, Vector::splat(reach_m));
-    for index in obstacle.triangle_bvh.intersect_aabb(&around) {
-        let owner = obstacle.triangle_owners[index as usize];
-        if checked(owner) {
+    let surface = obstacle.triangle_bvh.find_best(
+        reach_m,
+        |node, _| node.aabb().distance_to_local_point(point, true),
+        |index, _| {
             let [a, b, c] = obstacle.triangles[index as usize];
-            let distance = Triangle::new(a, b, c).distance_to_local_point(point, true);
-            if distance < nearest.0 {
-                nearest = (distance, Some(owner));
-            }
-        }
-    }
+            checked(obstacle.triangle_owners[index as usize])
+                .then(|| Triangle::new(a, b, c).distance_to_local_point(point, true))
+        },
+    );
+    let mut nearest = match surface {
+        Some((index, distance)) => (distance, Some(obstacle.triangle_owners[index as usize])),
+        None => (reach_m, None),
+    };
     let here = Aabb::new(point, point);
     for index in obstacle.solid_bvh.intersect_aabb(&here) {
         let owner = obstacle.solid_owners[index as usize];
