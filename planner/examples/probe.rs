@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use akrobat_judge::{Judge, JudgeConfig, RobotSphere};
 use akrobat_model::events::Silent;
 use akrobat_model::load::{self, AssetSearch};
+use akrobat_planner::world::World;
 use akrobat_planner::{PlannerConfig, Preparation, plan};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -38,7 +39,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let judge = Judge::new(&task, &spheres, &preparation.exceptions, JudgeConfig::default())?;
     println!("judge ready {:.2} s", started.elapsed().as_secs_f64());
     let judging = std::sync::atomic::AtomicU64::new(0);
-    let outcome = plan(&task, &preparation, &config, &Silent, &|trajectory| {
+    let world = World::build(&task, &config);
+    println!("distance field {:.2} s", started.elapsed().as_secs_f64());
+    let outcome = plan(&task, &preparation, &world, &config, &Silent, &|trajectory| {
         let begin = std::time::Instant::now();
         let verdict = judge.judge(trajectory);
         judging.fetch_add(begin.elapsed().as_micros() as u64, std::sync::atomic::Ordering::Relaxed);

@@ -3,10 +3,11 @@
 use akrobat_model::Robot;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
+use rayon::prelude::*;
 
 use crate::esdf::Esdf;
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables};
-use crate::spheres::{Sphere, SphereModel};
+use crate::spheres::SphereModel;
 use crate::world::World;
 
 /// A sphere that hangs from a node.
@@ -55,42 +56,41 @@ pub fn self_collision_pairs(robot: &Robot, model: &SphereModel) -> LinkPairs {
     for (i, &a) in links.iter().enumerate() {
         for &b in &links[i + 1..] {
             let node = |l: usize| kinematics.attachment(l).node;
-            let related = node(a) == node(b) || are_neighbours(robot, &kinematics, a, b);
+            // Links that nothing moves carry no spheres in a [`RobotBody`].
+            let rests = node(a).is_none() || node(b).is_none();
+            let related = rests || node(a) == node(b) || are_neighbours(robot, &kinematics, a, b);
             if !related && !listed(a, b) {
                 pairs.push((a, b));
             }
         }
     }
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(0);
-    let mut hits = vec![0usize; pairs.len()];
-    let rest: Vec<f64> =
-        variables.iter().map(|&j| robot.tree.joint_position(j, &robot.rest)).collect();
-    for sample in 0..MASK_SAMPLES {
-        let x: Vec<f64> = (0..kinematics.dof())
-            .map(|i| {
-                let (low, high) = (kinematics.lower()[i].max(-3.2), kinematics.upper()[i].min(3.2));
-                if sample == 0 { rest[i] } else { rng.random_range(low..=high) }
-            })
-            .collect();
-        let frames = kinematics.forward(&x);
-        for (pair, hit) in pairs.iter().zip(&mut hits) {
-            let overlap = by_link(pair.0).any(|a| {
-                by_link(pair.1).any(|b| {
-                    let place = |s: &Sphere| {
-                        kinematics.link_frame(&frames, s.link).transform(&Vector3::from(s.center))
-                    };
-                    (place(a) - place(b)).norm() < a.radius + b.radius
-                })
-            });
-            if overlap {
-                *hit += if sample == 0 { MASK_SAMPLES } else { 1 };
-            }
-        }
-    }
+    let body = RobotBody::new(robot, model, &pairs, &kinematics);
+    let hits: Vec<Vec<bool>> = mask_samples(robot, &kinematics, &variables)
+        .par_iter()
+        .map(|x| body.touching(x, &kinematics))
+        .collect();
+    let hits: Vec<usize> = (0..pairs.len())
+        .map(|pair| {
+            // What touches at rest always touches.
+            let at_rest = if hits[0][pair] { MASK_SAMPLES } else { 0 };
+            at_rest + hits.iter().filter(|hit| hit[pair]).count()
+        })
+        .collect();
     let always = MASK_SAMPLES * 9 / 10;
     let mut keep = hits.iter().map(|&h| h < always);
     pairs.retain(|_| keep.next().unwrap_or(true));
     pairs
+}
+
+/// The rest configuration, and random ones.
+fn mask_samples(robot: &Robot, kinematics: &Kinematics, variables: &[usize]) -> Vec<Vec<f64>> {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(0);
+    let rest = variables.iter().map(|&j| robot.tree.joint_position(j, &robot.rest)).collect();
+    let random = |_| {
+        let limits = kinematics.lower().iter().zip(kinematics.upper());
+        limits.map(|(low, high)| rng.random_range(low.max(-3.2)..=high.min(3.2))).collect()
+    };
+    std::iter::once(rest).chain((1..MASK_SAMPLES).map(random)).collect()
 }
 
 /// True where one variable at most lies between two links.
@@ -241,18 +241,34 @@ impl RobotBody {
         Self { spheres, groups, bounds: bounds.into_iter().map(|(_, b)| b).collect() }
     }
 
+    /// For each checked pair of links, whether their spheres overlap.
+    fn touching(&self, x: &Variables, kinematics: &Kinematics) -> Vec<bool> {
+        let frames = kinematics.forward(x);
+        let centers = self.centers(&frames);
+        let overlap = |group: &PairGroup| {
+            let (a, b) = (&self.bounds[group.a], &self.bounds[group.b]);
+            let place = |bound: &LinkBound| frames.frames[bound.node].transform(&bound.center);
+            (place(a) - place(b)).norm() < a.radius + b.radius
+                && (a.first..a.last).any(|i| {
+                    (b.first..b.last).any(|j| {
+                        let sum = self.spheres[i].radius + self.spheres[j].radius;
+                        (centers[i] - centers[j]).norm_squared() < sum * sum
+                    })
+                })
+        };
+        self.groups.iter().map(overlap).collect()
+    }
+
     /// World centres of all spheres.
     pub fn centers(&self, frames: &NodeFrames) -> Vec<Vector3<f64>> {
         self.spheres.iter().map(|s| frames.frames[s.node].transform(&s.center)).collect()
     }
 
-    /// Smallest clearance of the spheres that move with the base alone.
-    pub fn base_clearance(&self, frames: &NodeFrames, world: &World) -> f64 {
-        self.spheres
-            .iter()
-            .filter(|s| s.on_base)
-            .map(|s| world.fixed.distance(&frames.frames[s.node].transform(&s.center)) - s.radius)
-            .fold(f64::INFINITY, f64::min)
+    /// True where every sphere that moves with the base alone keeps `least` metres from the resting world.
+    pub fn base_is_free(&self, frames: &NodeFrames, world: &World, least: f64) -> bool {
+        self.spheres.iter().filter(|s| s.on_base).all(|s| {
+            world.fixed.distance(&frames.frames[s.node].transform(&s.center)) - s.radius > least
+        })
     }
 
     /// Smallest clearance at a configuration, with the object's driven joint at `object_q`; obstacles farther

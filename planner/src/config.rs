@@ -20,7 +20,8 @@ pub struct PlannerConfig {
     pub voxel_size_m: f64,
     /// Edge lengths of the distance field around the object, metres.
     pub workspace_m: [f64; 3],
-    /// Random seeds of inverse kinematics for each grasp and joint position.
+    /// Random seeds of inverse kinematics for each grasp and joint position, at most: once there are four free
+    /// solutions for each cluster, no more are tried.
     pub ik_seeds: usize,
     /// Solutions kept for each grasp and joint position after clustering.
     pub ik_clusters: usize,

@@ -3,7 +3,8 @@
 //! Distances are exact (to the triangles) within [`EXACT_BAND`] voxels of a surface. Beyond,
 //! they are exact to the triangle that is nearest to the nearest voxel on a surface, which the Euclidean
 //! transform of Felzenszwalb and Huttenlocher (*Distance Transforms of Sampled Functions*, Theory of
-//! Computing 8, 2012) finds. Scenes are triangle soups, seldom closed: *inside* is therefore
+//! Computing 8, 2012) finds; and beyond [`NEAR_VOXELS`], where nothing is decided by them, they are those between
+//! voxels, less than one voxel off. Scenes are triangle soups, seldom closed: *inside* is therefore
 //! every voxel that cannot be reached from a free seed point without crossing a surface.
 
 use akrobat_model::TriMesh;
@@ -12,6 +13,8 @@ use rayon::prelude::*;
 
 /// Width of the exact band around surfaces, in voxels.
 const EXACT_BAND: f64 = 2.0;
+/// Distance in voxels beyond which distances are those of the transform alone.
+const NEAR_VOXELS: f32 = 12.0;
 /// Label of a voxel whose nearest triangle is not known.
 const UNKNOWN: u32 = u32::MAX;
 
@@ -103,38 +106,32 @@ impl Esdf {
         let band = EXACT_BAND * voxel;
         // Slabs of z are independent, so the result does not depend on the number of threads.
         let slabs_per_task = size[2].div_ceil(64).max(1);
+        let tasks = self.by_slab(triangles, slabs_per_task, band);
         let chunks = self.values.par_chunks_mut(slab * slabs_per_task);
         let labels = nearest.par_chunks_mut(slab * slabs_per_task);
-        chunks.zip(labels).enumerate().for_each(|(task, (chunk, labels))| {
+        chunks.zip(labels).zip(tasks).enumerate().for_each(|(task, ((chunk, labels), own))| {
             let first = task * slabs_per_task;
             let last = first + chunk.len() / slab - 1;
-            for (index, triangle) in triangles.iter().enumerate() {
-                let mut from = [0usize; 3];
-                let mut to = [0usize; 3];
-                let mut empty = false;
-                for i in 0..3 {
-                    let low = triangle.iter().map(|c| c[i]).fold(f64::INFINITY, f64::min) - band;
-                    let high =
-                        triangle.iter().map(|c| c[i]).fold(f64::NEG_INFINITY, f64::max) + band;
-                    let (floor, ceil) = if i == 2 { (first, last) } else { (0, size[i] - 1) };
-                    let a = ((low - origin[i]) / voxel).ceil().max(floor as f64);
-                    let b = ((high - origin[i]) / voxel).floor().min(ceil as f64);
-                    empty |= a > b;
-                    (from[i], to[i]) = (a as usize, b.max(0.0) as usize);
-                }
-                if empty {
+            for index in own {
+                let triangle = &triangles[index as usize];
+                let Some((from, to)) = self::voxels(triangle, band, origin, voxel, size) else {
                     continue;
-                }
-                for z in from[2]..=to[2] {
+                };
+                let plane = TrianglePlane::new(triangle);
+                for z in from[2].max(first)..=to[2].min(last) {
                     for y in from[1]..=to[1] {
                         let row = ((z - first) * size[1] + y) * size[0];
                         for x in from[0]..=to[0] {
                             let p = origin + Vector3::new(x as f64, y as f64, z as f64) * voxel;
-                            let d = point_triangle_distance(&p, triangle) as f32;
                             let cell = &mut chunk[row + x];
+                            // The plane is never farther than the triangle in it.
+                            if plane.distance(&p) >= f64::from(*cell).min(band) {
+                                continue;
+                            }
+                            let d = point_triangle_distance(&p, triangle) as f32;
                             if d < *cell && f64::from(d) <= band {
                                 *cell = d;
-                                labels[row + x] = index as u32;
+                                labels[row + x] = index;
                             }
                         }
                     }
@@ -142,6 +139,24 @@ impl Esdf {
             }
         });
         nearest
+    }
+
+    /// For each task of so many slabs of z, the triangles whose band reaches into it, in order.
+    fn by_slab(
+        &self,
+        triangles: &[[Vector3<f64>; 3]],
+        slabs_per_task: usize,
+        band: f64,
+    ) -> Vec<Vec<u32>> {
+        let mut tasks = vec![Vec::new(); self.size[2].div_ceil(slabs_per_task)];
+        for (triangle, index) in triangles.iter().zip(0u32..) {
+            if let Some((from, to)) = voxels(triangle, band, self.origin, self.voxel_m, self.size) {
+                for task in &mut tasks[from[2] / slabs_per_task..=to[2] / slabs_per_task] {
+                    task.push(index);
+                }
+            }
+        }
+        tasks
     }
 
     /// Marks the voxels that can be reached from the seeds by face steps between voxels whose centres are
@@ -213,16 +228,19 @@ impl Esdf {
             },
         );
         // Lines along z are strided over the whole array: transposed plane by plane.
-        let mut columns = vec![UNKNOWN; labels.len()];
+        let mut columns = vec![Nearest::UNKNOWN; labels.len()];
         columns.par_chunks_mut(nz * nx).enumerate().for_each_init(
-            || (Envelope::new(nz), vec![0.0f32; nz]),
-            |(envelope, line), (y, plane)| {
+            || (Envelope::new(nz), vec![0.0f32; nz], vec![UNKNOWN; nz]),
+            |(envelope, line, line_labels), (y, plane)| {
                 for (x, column) in plane.chunks_mut(nz).enumerate() {
                     for z in 0..nz {
                         let at = (z * ny + y) * nx + x;
-                        (line[z], column[z]) = (squared[at], labels[at]);
+                        (line[z], line_labels[z]) = (squared[at], labels[at]);
                     }
-                    envelope.transform(line, column);
+                    envelope.transform(line, line_labels);
+                    for (z, nearest) in column.iter_mut().enumerate() {
+                        *nearest = Nearest::new(line[z], line_labels[z]);
+                    }
                 }
             },
         );
@@ -230,9 +248,14 @@ impl Esdf {
         self.values.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
             for (y, row) in plane.chunks_mut(nx).enumerate() {
                 for (x, value) in row.iter_mut().enumerate().filter(|(_, v)| !v.is_finite()) {
-                    let p = origin + Vector3::new(x as f64, y as f64, z as f64) * voxel;
-                    let triangle = triangles.get(columns[(y * nx + x) * nz + z] as usize);
-                    *value = triangle.map_or(FAR, |t| point_triangle_distance(&p, t) as f32);
+                    *value = match columns[(y * nx + x) * nz + z].get() {
+                        Ok(distance) => distance * voxel as f32,
+                        Err(label) => {
+                            let p = origin + Vector3::new(x as f64, y as f64, z as f64) * voxel;
+                            let triangle = triangles.get(label as usize);
+                            triangle.map_or(FAR, |t| point_triangle_distance(&p, t) as f32)
+                        }
+                    };
                 }
             }
         });
@@ -294,6 +317,46 @@ impl Esdf {
     }
 }
 
+/// First and last voxel along each axis within `band` of a triangle's box; `None` outside the grid.
+fn voxels(
+    triangle: &[Vector3<f64>; 3],
+    band: f64,
+    origin: Vector3<f64>,
+    voxel_m: f64,
+    size: [usize; 3],
+) -> Option<([usize; 3], [usize; 3])> {
+    let [a, b, c] = triangle;
+    let (low, high) = (a.inf(b).inf(c), a.sup(b).sup(c));
+    let (mut from, mut to) = ([0; 3], [0; 3]);
+    for i in 0..3 {
+        let first = ((low[i] - band - origin[i]) / voxel_m).ceil().max(0.0);
+        let last = ((high[i] + band - origin[i]) / voxel_m).floor().min((size[i] - 1) as f64);
+        if first > last {
+            return None;
+        }
+        (from[i], to[i]) = (first as usize, last as usize);
+    }
+    Some((from, to))
+}
+
+/// The plane of a triangle; of a degenerate one, nothing.
+struct TrianglePlane {
+    normal: Vector3<f64>,
+    offset: f64,
+}
+
+impl TrianglePlane {
+    fn new([a, b, c]: &[Vector3<f64>; 3]) -> Self {
+        let normal = (b - a).cross(&(c - a)).try_normalize(1e-12).unwrap_or_default();
+        Self { offset: normal.dot(a), normal }
+    }
+
+    /// A lower bound of the distance to the triangle, metres.
+    fn distance(&self, point: &Vector3<f64>) -> f64 {
+        (self.normal.dot(point) - self.offset).abs()
+    }
+}
+
 /// Larger than any distance and any squared distance in voxels; finite, so that parabola intersections
 /// stay numbers.
 const FAR: f32 = 1e12;
@@ -307,6 +370,34 @@ fn gather<T: Copy>(plane: &[T], x: usize, stride: usize, line: &mut [T]) {
 fn scatter<T: Copy>(line: &[T], plane: &mut [T], x: usize, stride: usize) {
     for (y, value) in line.iter().enumerate() {
         plane[y * stride + x] = *value;
+    }
+}
+
+/// What is known of a voxel after the transform, in the memory of one number: the distance where it is far,
+/// the triangle where it is near.
+#[derive(Debug, Clone, Copy)]
+struct Nearest(u32);
+
+impl Nearest {
+    const UNKNOWN: Self = Self(UNKNOWN & !Self::DISTANCE);
+    /// Set where the other bits are a distance in voxels; the sign bit of a number that is never negative.
+    const DISTANCE: u32 = 1 << 31;
+
+    fn new(squared: f32, label: u32) -> Self {
+        if squared > NEAR_VOXELS * NEAR_VOXELS && squared < FAR {
+            Self(squared.sqrt().to_bits() | Self::DISTANCE)
+        } else {
+            Self(label & !Self::DISTANCE)
+        }
+    }
+
+    /// The distance in voxels, or else the triangle's label.
+    fn get(self) -> Result<f32, u32> {
+        if self.0 & Self::DISTANCE == 0 {
+            Err(self.0)
+        } else {
+            Ok(f32::from_bits(self.0 & !Self::DISTANCE))
+        }
     }
 }
 

@@ -173,8 +173,32 @@ pub fn wrap(angle: f64) -> f64 {
     angle.sin().atan2(angle.cos())
 }
 
-/// Solves from `seeds` random starts that pass `prefilter`; `accept` sees each solution. The result is in
-/// seed order and does not depend on the number of threads.
+/// Seeds that are solved between two looks at whether they suffice: constant, so that results do not depend on
+/// threads.
+const CHUNK: usize = 64;
+
+/// How hard a batch tries.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Random starts at most.
+    pub seeds: usize,
+    /// Accepted solutions that suffice.
+    pub enough: usize,
+}
+
+/// What a batch gave.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Batch {
+    /// Accepted solutions, in the order of their seeds.
+    pub accepted: Vec<Vec<f64>>,
+    /// Seeds that were used.
+    pub seeds: usize,
+    /// Seeds that converged.
+    pub solved: usize,
+}
+
+/// Solves from random starts that pass `prefilter` until enough solutions pass `accept`. The result does not
+/// depend on the number of threads.
 #[allow(clippy::too_many_arguments)] // a batch is described by exactly these
 pub fn solve_batch(
     kinematics: &Kinematics,
@@ -182,25 +206,29 @@ pub fn solve_batch(
     target: &Frame,
     region: &SeedRegion,
     seed: u64,
-    seeds: usize,
+    effort: Effort,
     prefilter: &(dyn Fn(&Variables) -> bool + Sync),
     accept: &(dyn Fn(&Variables) -> bool + Sync),
-) -> (Vec<Vec<f64>>, usize) {
-    let results: Vec<(bool, Option<Vec<f64>>)> = (0..seeds)
-        .into_par_iter()
-        .map(|index| {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            rng.set_stream(index as u64);
-            let promising = (0..SEED_DRAWS)
-                .map(|_| region.sample(kinematics, target, &mut rng))
-                .find(|x| prefilter(x));
-            let Some(mut x) = promising else { return (false, None) };
-            if !solve(kinematics, tool, target, &mut x, 0) {
-                return (false, None);
-            }
-            (true, accept(&x).then_some(x))
-        })
-        .collect();
-    let solved = results.iter().filter(|(solved, _)| *solved).count();
-    (results.into_iter().filter_map(|(_, x)| x).collect(), solved)
+) -> Batch {
+    let solve_seed = |index: usize| -> (bool, Option<Vec<f64>>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(index as u64);
+        let promising = (0..SEED_DRAWS)
+            .map(|_| region.sample(kinematics, target, &mut rng))
+            .find(|x| prefilter(x));
+        let Some(mut x) = promising else { return (false, None) };
+        if !solve(kinematics, tool, target, &mut x, 0) {
+            return (false, None);
+        }
+        (true, accept(&x).then_some(x))
+    };
+    let mut batch = Batch::default();
+    while batch.seeds < effort.seeds && batch.accepted.len() < effort.enough {
+        let last = (batch.seeds + CHUNK).min(effort.seeds);
+        let results: Vec<_> = (batch.seeds..last).into_par_iter().map(solve_seed).collect();
+        batch.seeds = last;
+        batch.solved += results.iter().filter(|(solved, _)| *solved).count();
+        batch.accepted.extend(results.into_iter().filter_map(|(_, x)| x));
+    }
+    batch
 }

@@ -117,13 +117,14 @@ pub struct PlanOutcome {
 /// Judges one trajectory.
 pub type JudgeFn<'a> = dyn Fn(&Trajectory) -> Verdict + Sync + 'a;
 
-/// Plans a task until `config.limit` trajectories are accepted or all pairs are used up.
+/// Plans a task in its `world` until `config.limit` trajectories are accepted or all pairs are used up.
 ///
 /// # Errors
 /// [`PlanError`].
 pub fn plan(
     task: &Task,
     preparation: &Preparation,
+    world: &World,
     config: &PlannerConfig,
     observer: &dyn Observer,
     judge: &JudgeFn<'_>,
@@ -137,13 +138,12 @@ pub fn plan(
         stage_seconds: BTreeMap::new(),
         step_seconds: BTreeMap::new(),
     };
-    let world = run.stage("distance field", |_| World::build(task, config));
-    let grasps = run.stage("grasps", |run| run.grasps(&world))?;
-    let holds = run.stage("inverse kinematics", |run| run.holds(&world, &grasps))?;
-    let pairs = run.stage("pairing", |run| run.pairs(&world, &holds));
+    let grasps = run.stage("grasps", |run| run.grasps(world))?;
+    let holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
+    let pairs = run.stage("pairing", |run| run.pairs(world, &holds));
     run.count("pairs", pairs.len());
     let (trajectories, notes) =
-        run.stage("trajectory optimisation", |run| run.optimise(&world, &holds, &pairs, judge))?;
+        run.stage("trajectory optimisation", |run| run.optimise(world, &holds, &pairs, judge))?;
     run.count("accepted", trajectories.len());
     let header = run.header();
     Ok(PlanOutcome {

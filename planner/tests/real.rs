@@ -12,6 +12,7 @@ use akrobat_model::events::Silent;
 use akrobat_model::task::Task;
 use akrobat_model::trajectory::DensePath;
 use akrobat_model::{JointPath, Rejection, Trajectory, TrajectorySet, load, pose};
+use akrobat_planner::world::World;
 use akrobat_planner::{PlanOutcome, PlannerConfig, Preparation, plan};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
@@ -46,7 +47,9 @@ fn planned() -> Option<&'static Planned> {
         let preparation = Preparation::new(&task).unwrap();
         let judge = judge(&task, &preparation);
         let config = PlannerConfig { limit: 10, ik_seeds: 300, ..PlannerConfig::default() };
-        let outcome = plan(&task, &preparation, &config, &Silent, &|t| judge.judge(t)).unwrap();
+        let world = World::build(&task, &config);
+        let outcome =
+            plan(&task, &preparation, &world, &config, &Silent, &|t| judge.judge(t)).unwrap();
         Some(Planned { task, preparation, judge, outcome })
     };
     PLANNED.get_or_init(plan_it).as_ref()
@@ -106,7 +109,9 @@ fn the_same_seed_gives_the_same_set_on_any_number_of_threads() {
         let judge = judge(&task, preparation);
         let config = PlannerConfig { limit: 3, ik_seeds: 100, ..PlannerConfig::default() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let planned = || plan(&task, preparation, &config, &Silent, &|t| judge.judge(t)).unwrap();
+        let world = World::build(&task, &config);
+        let planned =
+            || plan(&task, preparation, &world, &config, &Silent, &|t| judge.judge(t)).unwrap();
         pool.install(planned).set
     };
     let one = planned_on(1, 1);

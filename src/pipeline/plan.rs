@@ -10,6 +10,7 @@ use akrobat_model::task::Task;
 use akrobat_model::{ModelError, TrajectorySet};
 use akrobat_packager::trajectory_file;
 use akrobat_planner::spheres::SphereFit;
+use akrobat_planner::world::World;
 use akrobat_planner::{PlanError, PlannerConfig, Preparation};
 
 use super::{Context, check_writable, folder_of, on_threads};
@@ -102,9 +103,16 @@ fn plan_task(
         .iter()
         .map(|s| RobotSphere { link: s.link, center: s.center, radius: s.radius })
         .collect();
-    let judge = Judge::new(task, &spheres, &preparation.exceptions, JudgeConfig::default())?;
+    let began = std::time::Instant::now();
+    let (judge, world) = rayon::join(
+        || Judge::new(task, &spheres, &preparation.exceptions, JudgeConfig::default()),
+        || World::build(task, config),
+    );
+    let (judge, built_s) = (judge?, began.elapsed().as_secs_f64());
     let judge_one = |trajectory: &_| judge.judge(trajectory);
-    let outcome = akrobat_planner::plan(task, &preparation, config, observer, &judge_one)?;
+    let mut outcome =
+        akrobat_planner::plan(task, &preparation, &world, config, observer, &judge_one)?;
+    outcome.stage_seconds.insert("distance field and judge".into(), built_s);
     let loaded = task.object.notes.iter().chain(&task.scene.notes);
     Ok(PlanReport {
         set: outcome.set,

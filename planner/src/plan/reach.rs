@@ -11,7 +11,7 @@ use super::{Hold, LIMIT_MARGIN, PlanError, Run, stage_seed};
 use crate::akr::{self, Akr};
 use crate::closure::Closure;
 use crate::collision::{MovingCheck, RobotBody};
-use crate::ik::{self, SeedRegion, Tool};
+use crate::ik::{self, Batch, Effort, SeedRegion, Tool};
 use crate::kinematics::{Frame, Kinematics};
 use crate::world::{World, handle_center, outward};
 use crate::{cluster, grasp};
@@ -22,6 +22,8 @@ const SCREENING_SEEDS: usize = 100;
 /// Solutions among them that suffice, and the number that stands for screening in seeds.
 const SCREENING_SOLUTIONS: usize = 2;
 const SCREENING_TARGET: usize = 0xffff;
+/// Solutions that are clustered, for each cluster that is kept.
+const SOLUTIONS_PER_CLUSTER: usize = 4;
 
 impl Run<'_> {
     /// The grasps that are used: the first, in order of diversity, that fit and are within reach at both
@@ -58,8 +60,9 @@ impl Run<'_> {
         let akr = akr::assemble(&self.task.robot, &self.task.object, grasp)?;
         let goal = &self.task.file.goal;
         let reaches = |q: f64| -> Result<bool, PlanError> {
-            let found = self.solve(world, &akr, grasp, q, SCREENING_TARGET, SCREENING_SEEDS)?.0;
-            Ok(found.len() >= SCREENING_SOLUTIONS)
+            let effort = Effort { seeds: SCREENING_SEEDS, enough: SCREENING_SOLUTIONS };
+            let batch = self.solve(world, &akr, grasp, q, SCREENING_TARGET, effort)?;
+            Ok(batch.accepted.len() >= SCREENING_SOLUTIONS)
         };
         if !reaches(goal.start)? {
             return Ok(false);
@@ -139,11 +142,13 @@ impl Run<'_> {
         q: f64,
         target_index: usize,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
-        let seeds = self.config.ik_seeds;
-        let (mut found, solved) = self.solve(world, akr, &hold.grasp, q, target_index, seeds)?;
-        self.count("ik/seeds", seeds);
-        self.count("ik/solved", solved);
-        self.count("ik/free", found.len());
+        let enough = SOLUTIONS_PER_CLUSTER * self.config.ik_clusters;
+        let effort = Effort { seeds: self.config.ik_seeds, enough };
+        let batch = self.solve(world, akr, &hold.grasp, q, target_index, effort)?;
+        self.count("ik/seeds", batch.seeds);
+        self.count("ik/solved", batch.solved);
+        self.count("ik/free", batch.accepted.len());
+        let mut found = batch.accepted;
         let weights = vec![1.0; hold.kinematics.dof() - 1];
         let seed = ik_seed(self.task, &hold.grasp, target_index);
         let chosen =
@@ -158,8 +163,7 @@ impl Run<'_> {
             .collect())
     }
 
-    /// Collision-free base and arm configurations that hold the object with its joint at `q`, and how many
-    /// seeds converged at all.
+    /// Collision-free base and arm configurations that hold the object with its joint at `q`.
     fn solve(
         &self,
         world: &World,
@@ -167,14 +171,14 @@ impl Run<'_> {
         grasp: &Grasp,
         q: f64,
         target_index: usize,
-        seeds: usize,
-    ) -> Result<(Vec<Vec<f64>>, usize), PlanError> {
+        effort: Effort,
+    ) -> Result<Batch, PlanError> {
         let robot = &self.task.robot;
         let variables = &akr.variables[..akr.variables.len() - 1];
         let mut kinematics =
             Kinematics::compile(&akr.tree, &robot.world_from_root, variables, &akr.rest);
         kinematics.draw_in_limits(variables.len(), LIMIT_MARGIN);
-        let Some(tool) = Tool::new(robot, &kinematics) else { return Ok((Vec::new(), 0)) };
+        let Some(tool) = Tool::new(robot, &kinematics) else { return Ok(Batch::default()) };
         let body = RobotBody::new(
             robot,
             &self.preparation.spheres,
@@ -183,9 +187,8 @@ impl Run<'_> {
         );
         // Half way to what optimisation aims at: a path that leaves here has room on all sides.
         let least = f64::midpoint(self.config.min_clearance_m, self.config.clearance_m);
-        let prefilter = |x: &[f64]| {
-            self.base() == 0 || body.base_clearance(&kinematics.forward(x), world) > -0.05
-        };
+        let prefilter =
+            |x: &[f64]| self.base() == 0 || body.base_is_free(&kinematics.forward(x), world, -0.05);
         let accept = |x: &[f64]| {
             let frames = kinematics.forward(x);
             let clearance = body.clearance(&frames, world, q, MovingCheck::NotTool, least);
@@ -197,7 +200,7 @@ impl Run<'_> {
             &self.tool_target(grasp, q)?,
             &self.seed_region(),
             ik_seed(self.task, grasp, target_index),
-            seeds,
+            effort,
             &prefilter,
             &accept,
         ))
