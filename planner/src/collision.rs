@@ -5,7 +5,6 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 
-use crate::esdf::Esdf;
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables};
 use crate::spheres::SphereModel;
 use crate::world::World;
@@ -21,8 +20,6 @@ pub struct NodeSphere {
     pub radius: f64,
     /// Link, for reports and pair masks.
     pub link: usize,
-    /// Number of the link among those with spheres.
-    pub group: usize,
     /// Moves with the base only: stands on the floor.
     pub on_base: bool,
     /// Moves rigidly with the tool.
@@ -127,15 +124,37 @@ struct PairGroup {
     b: usize,
 }
 
-/// Which fields a link may touch.
+/// Which fields a link may touch, and whether it may touch anything.
 #[derive(Debug, Clone, Copy)]
 struct Near {
     fixed: bool,
     moving: bool,
+    any: bool,
+}
+
+impl Near {
+    /// The spheres of a link that must be looked at.
+    fn spheres(self, bound: &LinkBound) -> std::ops::Range<usize> {
+        if self.any { bound.first..bound.last } else { 0..0 }
+    }
+}
+
+/// Links and spheres in the world.
+struct Placed {
+    /// Centre of each link's bounding sphere.
+    bound_centers: Vec<Vector3<f64>>,
+    /// What each link may touch.
+    near: Vec<Near>,
+    /// Checked pairs of links that may touch.
+    pairs: Vec<PairGroup>,
+    /// Centres of the spheres of links that may touch anything; of others, zero.
+    centers: Vec<Vector3<f64>>,
 }
 
 /// Distance beyond which clearances are not told apart, metres.
 const FAR_M: f64 = 0.02;
+/// The same for the robot's own links, metres.
+const PAIR_FAR_M: f64 = 0.05;
 
 /// What is closest to a collision.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -224,7 +243,6 @@ impl RobotBody {
                     center: (attachment.node_from_link * center).coords,
                     radius: sphere.radius,
                     link,
-                    group: bounds.len(),
                     on_base: base_node == Some(node),
                     on_tool: tool_node == Some(node),
                 });
@@ -267,7 +285,9 @@ impl RobotBody {
     /// True where every sphere that moves with the base alone keeps `least` metres from the resting world.
     pub fn base_is_free(&self, frames: &NodeFrames, world: &World, least: f64) -> bool {
         self.spheres.iter().filter(|s| s.on_base).all(|s| {
-            world.fixed.distance(&frames.frames[s.node].transform(&s.center)) - s.radius > least
+            let center = frames.frames[s.node].transform(&s.center);
+            world.fixed.is_beyond(&center, s.radius + least)
+                || world.fixed.distance(&center) - s.radius > least
         })
     }
 
@@ -289,27 +309,36 @@ impl RobotBody {
             worst.distance_m < enough
         };
         let world_from_moved = world.joint.world_from_moved(object_q);
-        let centers = self.centers(frames);
-        let near = self.near_obstacles(frames, world, &world_from_moved, enough.max(FAR_M));
-        for (sphere, center) in self.spheres.iter().zip(&centers) {
-            let near = near[sphere.group];
-            let fixed = || world.fixed.distance(center) - sphere.radius;
-            if near.fixed && note(fixed(), sphere.link, Obstacle::Fixed) {
-                return worst;
-            }
-            let floor = center.z - sphere.radius - world.floor_z;
-            if !sphere.on_base && note(floor, sphere.link, Obstacle::Floor) {
-                return worst;
-            }
-            if near.moving && (moving == MovingCheck::All || !sphere.on_tool) {
-                let local = world_from_moved.inverse_transform(center);
-                let distance = world.moving.distance(&local) - sphere.radius;
-                if note(distance, sphere.link, Obstacle::Moving) {
+        let far = enough.max(FAR_M);
+        let scene = self.place(frames, world, &world_from_moved, far, enough.max(PAIR_FAR_M));
+        for (bound, near) in self.bounds.iter().zip(&scene.near) {
+            for index in near.spheres(bound) {
+                let (sphere, center) = (&self.spheres[index], &scene.centers[index]);
+                let reach = sphere.radius + far;
+                let fixed = || world.fixed.distance(center) - sphere.radius;
+                if near.fixed
+                    && !world.fixed.is_beyond(center, reach)
+                    && note(fixed(), sphere.link, Obstacle::Fixed)
+                {
                     return worst;
+                }
+                let floor = center.z - sphere.radius - world.floor_z;
+                if !sphere.on_base && note(floor, sphere.link, Obstacle::Floor) {
+                    return worst;
+                }
+                if near.moving && (moving == MovingCheck::All || !sphere.on_tool) {
+                    let local = world_from_moved.inverse_transform(center);
+                    if world.moving.is_beyond(&local, reach) {
+                        continue;
+                    }
+                    let distance = world.moving.distance(&local) - sphere.radius;
+                    if note(distance, sphere.link, Obstacle::Moving) {
+                        return worst;
+                    }
                 }
             }
         }
-        for (a, b, distance) in self.near_pairs(frames, &centers, enough.max(0.05)) {
+        for (a, b, distance) in self.near_pairs(&scene, enough.max(PAIR_FAR_M)) {
             if note(distance, self.spheres[a].link, Obstacle::Link(self.spheres[b].link)) {
                 return worst;
             }
@@ -317,49 +346,66 @@ impl RobotBody {
         worst
     }
 
-    /// For each link, whether its bounding sphere comes within `reach` of either field. Distances are
-    /// 1-Lipschitz; a voxel's diagonal is left for their interpolation.
-    fn near_obstacles(
+    /// Places the bounding spheres of all links, and the spheres of those that come within `reach` of a field or
+    /// the floor, or within `pair_reach` of another link. Distances are 1-Lipschitz; a voxel's diagonal is left for their
+    /// interpolation.
+    fn place(
         &self,
         frames: &NodeFrames,
         world: &World,
         world_from_moved: &Frame,
         reach: f64,
-    ) -> Vec<Near> {
-        let spare = |field: &Esdf| reach + 2.0 * field.voxel_m();
-        self.bounds
+        pair_reach: f64,
+    ) -> Placed {
+        let bound_centers: Vec<Vector3<f64>> =
+            self.bounds.iter().map(|b| frames.frames[b.node].transform(&b.center)).collect();
+        let mut near: Vec<Near> = self
+            .bounds
             .iter()
-            .map(|bound| {
-                let center = frames.frames[bound.node].transform(&bound.center);
-                let local = world_from_moved.inverse_transform(&center);
-                Near {
-                    fixed: world.fixed.distance(&center) < bound.radius + spare(&world.fixed),
-                    moving: world.moving.distance(&local) < bound.radius + spare(&world.moving),
-                }
+            .zip(&bound_centers)
+            .map(|(bound, center)| {
+                let least = bound.radius + reach;
+                let local = world_from_moved.inverse_transform(center);
+                let fixed = !world.fixed.is_beyond(center, least);
+                let moving = !world.moving.is_beyond(&local, least);
+                let floor = center.z - world.floor_z < least;
+                Near { fixed, moving, any: fixed || moving || floor }
             })
-            .collect()
-    }
-
-    /// Sphere pairs of checked link pairs whose distance is below `reach`.
-    fn near_pairs(
-        &self,
-        frames: &NodeFrames,
-        centers: &[Vector3<f64>],
-        reach: f64,
-    ) -> Vec<(usize, usize, f64)> {
-        let mut out = Vec::new();
+            .collect();
+        let mut pairs = Vec::new();
         for group in &self.groups {
             let (a, b) = (&self.bounds[group.a], &self.bounds[group.b]);
-            let apart = frames.frames[a.node].transform(&a.center)
-                - frames.frames[b.node].transform(&b.center);
-            let near = a.radius + b.radius + reach;
-            if apart.norm_squared() > near * near {
-                continue;
+            let apart = bound_centers[group.a] - bound_centers[group.b];
+            let least = a.radius + b.radius + pair_reach;
+            if apart.norm_squared() < least * least {
+                (near[group.a].any, near[group.b].any) = (true, true);
+                pairs.push(*group);
             }
+        }
+        let mut centers = vec![Vector3::zeros(); self.spheres.len()];
+        for (bound, near) in self.bounds.iter().zip(&near) {
+            for index in near.spheres(bound) {
+                centers[index] = frames.frames[bound.node].transform(&self.spheres[index].center);
+            }
+        }
+        Placed { bound_centers, near, pairs, centers }
+    }
+
+    /// Sphere pairs of near link pairs whose distance is below `reach`.
+    fn near_pairs(&self, scene: &Placed, reach: f64) -> Vec<(usize, usize, f64)> {
+        let mut out = Vec::new();
+        for group in &scene.pairs {
+            let (a, b) = (&self.bounds[group.a], &self.bounds[group.b]);
+            let around_b = &scene.bound_centers[group.b];
             for i in a.first..a.last {
+                let (center, radius) = (&scene.centers[i], self.spheres[i].radius);
+                let least = radius + b.radius + reach;
+                if (center - around_b).norm_squared() > least * least {
+                    continue;
+                }
                 for j in b.first..b.last {
-                    let sum = self.spheres[i].radius + self.spheres[j].radius;
-                    let squared = (centers[i] - centers[j]).norm_squared();
+                    let sum = radius + self.spheres[j].radius;
+                    let squared = (center - scene.centers[j]).norm_squared();
                     if squared < (sum + reach) * (sum + reach) {
                         out.push((i, j, squared.sqrt() - sum));
                     }
@@ -383,14 +429,13 @@ impl RobotBody {
         out: &mut Penalty,
     ) {
         let world_from_moved = world.joint.world_from_moved(x[object_variable]);
-        let centers = self.centers(frames);
-        let near = self.near_obstacles(frames, world, &world_from_moved, margin);
-        for (sphere, center) in self.spheres.iter().zip(&centers) {
-            let reach = sphere.radius + margin;
-            let near = near[sphere.group];
-            if near.fixed {
-                let (distance, gradient) = world.fixed.distance_and_gradient(center);
-                if distance < reach {
+        let scene = self.place(frames, world, &world_from_moved, margin, margin);
+        let centers = &scene.centers;
+        for (bound, near) in self.bounds.iter().zip(&scene.near) {
+            for index in near.spheres(bound) {
+                let (sphere, center) = (&self.spheres[index], &centers[index]);
+                let reach = sphere.radius + margin;
+                let mut add = |hinge: f64, gradient: &Vector3<f64>, by_object: f64| {
                     let mut row = SVector::zeros();
                     kinematics.add_point_gradient(
                         frames,
@@ -399,34 +444,33 @@ impl RobotBody {
                         &-gradient,
                         &mut row,
                     );
-                    out.add(reach - distance, &row);
+                    row[object_variable] += by_object;
+                    out.add(hinge, &row);
+                };
+                if near.fixed && !world.fixed.is_beyond(center, reach) {
+                    let (distance, gradient) = world.fixed.distance_and_gradient(center);
+                    if distance < reach {
+                        add(reach - distance, &gradient, 0.0);
+                    }
                 }
-            }
-            if !sphere.on_base && center.z - world.floor_z < reach {
-                let mut row = SVector::zeros();
-                let down = -Vector3::z();
-                kinematics.add_point_gradient(frames, sphere.node, center, &down, &mut row);
-                out.add(reach - (center.z - world.floor_z), &row);
-            }
-            if near.moving && !sphere.on_tool {
-                let local = world_from_moved.inverse_transform(center);
-                let (distance, gradient) = world.moving.distance_and_gradient(&local);
-                if distance < reach {
-                    let gradient = world_from_moved.rotation * gradient;
-                    let mut row = SVector::zeros();
-                    kinematics.add_point_gradient(
-                        frames,
-                        sphere.node,
-                        center,
-                        &-gradient,
-                        &mut row,
-                    );
-                    row[object_variable] += gradient.dot(&world.joint.point_velocity(center));
-                    out.add(reach - distance, &row);
+                if !sphere.on_base && center.z - world.floor_z < reach {
+                    add(reach - (center.z - world.floor_z), &Vector3::z(), 0.0);
+                }
+                if near.moving && !sphere.on_tool {
+                    let local = world_from_moved.inverse_transform(center);
+                    if world.moving.is_beyond(&local, reach) {
+                        continue;
+                    }
+                    let (distance, gradient) = world.moving.distance_and_gradient(&local);
+                    if distance < reach {
+                        let gradient = world_from_moved.rotation * gradient;
+                        let by_object = gradient.dot(&world.joint.point_velocity(center));
+                        add(reach - distance, &gradient, by_object);
+                    }
                 }
             }
         }
-        for (a, b, distance) in self.near_pairs(frames, &centers, margin) {
+        for (a, b, distance) in self.near_pairs(&scene, margin) {
             let Some(direction) = (centers[a] - centers[b]).try_normalize(1e-9) else { continue };
             let mut row = SVector::zeros();
             let (sa, sb) = (&self.spheres[a], &self.spheres[b]);

@@ -15,6 +15,8 @@ use rayon::prelude::*;
 const EXACT_BAND: f64 = 2.0;
 /// Distance in voxels beyond which distances are those of the transform alone.
 const NEAR_VOXELS: f32 = 12.0;
+/// Half of a voxel's diagonal, and a tenth more for what interpolation adds, in voxels.
+const HALF_DIAGONAL: f64 = 0.953;
 /// Label of a voxel whose nearest triangle is not known.
 const UNKNOWN: u32 = u32::MAX;
 
@@ -277,6 +279,23 @@ impl Esdf {
     #[inline]
     pub fn distance(&self, point: &Vector3<f64>) -> f64 {
         self.interpolate(point).0
+    }
+
+    /// True where the distance at `point` is surely at least `least`: one look at the nearest voxel, whose distance
+    /// differs by no more than half a voxel's diagonal. False may mean either. Points outside the grid are looked up.
+    #[inline]
+    pub fn is_beyond(&self, point: &Vector3<f64>, least: f64) -> bool {
+        let mut at = 0;
+        for axis in (0..3).rev() {
+            let coordinate = ((point[axis] - self.origin[axis]) / self.voxel_m + 0.5).max(0.0);
+            let last = self.size[axis] - 1;
+            at = at * self.size[axis] + (coordinate as usize).min(last);
+        }
+        let value = f64::from(self.values[at]);
+        // Far values are up to a voxel too large.
+        let far = if value > f64::from(NEAR_VOXELS) * self.voxel_m { 1.0 } else { 0.0 };
+        // Of positive distances only: inside, they are estimates.
+        value > least.max(0.0) + (HALF_DIAGONAL + far) * self.voxel_m
     }
 
     /// Trilinear distance and its gradient.
@@ -568,6 +587,26 @@ mod tests {
                 assert!(near_face || (numeric - gradient[axis]).abs() < 1e-4);
             }
         }
+    }
+
+    #[test]
+    fn what_is_said_to_be_beyond_is_beyond() {
+        let triangles = random_triangles(9, 4);
+        let field = Esdf::build(&triangles, Vector3::zeros(), Vector3::repeat(1.0), 0.03, &[]);
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let mut told = 0;
+        for _ in 0..20_000 {
+            let p = Vector3::from_fn(|_, _| rng.random_range(-0.2..1.2));
+            let least = rng.random_range(0.0..0.2);
+            if field.is_beyond(&p, least) {
+                told += 1;
+                assert!(field.distance(&p) >= least, "{p} {least}");
+            } else {
+                // And it is told wherever there is room for it.
+                assert!(field.distance(&p) < least + 3.1 * 0.03);
+            }
+        }
+        assert!(told > 1000);
     }
 
     #[test]
