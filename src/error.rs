@@ -4,6 +4,7 @@ use akrobat_judge::JudgeError;
 use akrobat_model::ModelError;
 use akrobat_packager::PackError;
 use akrobat_renderer::RenderError;
+use akrobat_renderer::lighting::LightingError;
 
 /// How a command ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,6 +34,9 @@ pub enum Error {
     /// Rendering failed.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// The lighting cannot be used.
+    #[error("lighting: {0}")]
+    Lighting(#[from] LightingError),
     /// The request is wrong in itself; the whole message.
     #[error("{0}")]
     Usage(String),
@@ -48,7 +52,9 @@ impl Error {
     /// The exit code of this error.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Input(_) | Self::Judge(_) | Self::Usage(_) => ExitCode::BadInput,
+            Self::Input(_) | Self::Judge(_) | Self::Lighting(_) | Self::Usage(_) => {
+                ExitCode::BadInput
+            }
             Self::Failed(_) | Self::Interrupted(_) => ExitCode::Failed,
             Self::Pack(error) if error.exit_code() == ExitCode::BadInput as i32 => {
                 ExitCode::BadInput

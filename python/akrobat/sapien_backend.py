@@ -3,8 +3,8 @@
 The compiled half of the package calls :func:`require_sapien` once, makes one
 :class:`SapienRenderer` per scene and calls :meth:`SapienRenderer.render` once per batch of frames.
 Geometry follows the image model that all backends share (every triangle is opaque and seen from
-both sides, one sample per pixel centre), so depth and segmentation agree with theirs; shading is
-SAPIEN's own.
+both sides, one sample per pixel centre), so depth and segmentation agree with theirs. Shading is
+SAPIEN's own: the same as theirs for Lambert reflection, constant ambient light and no shadows.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ class Mesh(TypedDict):
     """`[V, 2]`, v = 0 at the texture's top row"""
     base_color: tuple[float, float, float, float]
     """linear RGBA factor"""
+    metallic_roughness: tuple[float, float] | None
+    """`None` for matt surfaces"""
     texture: NDArray[np.uint8] | None
     """sRGB `[H, W, 4]`"""
 
@@ -58,12 +60,28 @@ class Camera(TypedDict):
     far_m: float
 
 
-class Lighting(TypedDict):
-    """One directional light, ambient light from above and below (linear RGB), background (sRGB)."""
+class Light(TypedDict, total=False):
+    """A light in the world frame."""
 
-    sun_direction: tuple[float, float, float]
-    """unit vector from the ground to the sun"""
-    sun_rgb: tuple[float, float, float]
+    kind: str
+    """`directional`, `point` or `spot`"""
+    rgb: tuple[float, float, float]
+    """linear; what a white matt surface facing it reflects (at 1 m)"""
+    shadow: bool
+    direction: tuple[float, float, float]
+    """to a directional light"""
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    """what a spot is aimed at"""
+    inner_deg: float
+    outer_deg: float
+    """angles from a spot's axis"""
+
+
+class Lighting(TypedDict):
+    """Lights, ambient light from above and below (linear RGB), background (sRGB)."""
+
+    lights: list[Light]
     sky_rgb: tuple[float, float, float]
     ground_rgb: tuple[float, float, float]
     background_rgb: tuple[int, int, int]
@@ -137,12 +155,29 @@ class SapienRenderer:
         # SAPIEN's ambient light has no direction: a horizontal surface's share of sky and ground.
         sky, ground = np.asarray(lighting["sky_rgb"]), np.asarray(lighting["ground_rgb"])
         self._scene.set_ambient_light(list(0.5 * (sky + ground)))
+        for light in lighting["lights"]:
+            self._add_light(light)
+
+    def _add_light(self, light: Light) -> None:
         # SAPIEN divides diffuse reflection by pi (radiometric units), the shared model does not.
-        self._scene.add_directional_light(
-            [-component for component in lighting["sun_direction"]],
-            [math.pi * component for component in lighting["sun_rgb"]],
-            shadow=False,
-        )
+        color = [math.pi * component for component in light["rgb"]]
+        shadow = light["shadow"]
+        if light["kind"] == "directional":
+            direction = [-component for component in light["direction"]]
+            self._scene.add_directional_light(direction, color, shadow=shadow)
+        elif light["kind"] == "point":
+            self._scene.add_point_light(light["position"], color, shadow=shadow)
+        else:
+            position = np.asarray(light["position"])
+            # SAPIEN's angles are those of the whole cone.
+            self._scene.add_spot_light(
+                position,
+                np.asarray(light["target"]) - position,
+                math.radians(2.0 * light["inner_deg"]),
+                math.radians(2.0 * light["outer_deg"]),
+                color,
+                shadow=shadow,
+            )
 
     def _add_body(self, body: Body) -> Any:
         component = self._sapien.render.RenderBodyComponent()
@@ -158,9 +193,12 @@ class SapienRenderer:
         positions, triangles, normals, uvs = _two_sided(mesh)
         material = self._sapien.render.RenderMaterial()
         material.base_color = [*mesh["base_color"][:3], 1.0]
-        material.roughness = 1.0
-        material.specular = 0.0
-        material.metallic = 0.0
+        if mesh["metallic_roughness"] is None:
+            material.metallic, material.roughness, material.specular = 0.0, 1.0, 0.0
+        else:
+            material.metallic, material.roughness = mesh["metallic_roughness"]
+            # 4% at normal incidence.
+            material.specular = 0.5
         if mesh["texture"] is not None and mesh["uvs"] is not None:
             # The "minimal" shaders take the texture instead of the factor, not times it.
             texture = _linear_texture(mesh["texture"], mesh["base_color"])
@@ -205,7 +243,9 @@ class SapienRenderer:
         seen = segment != 0
         # The depth buffer rather than the position image, which counts whole millimetres.
         depth_m[:] = np.where(seen, _z_depth(camera.get_picture("GbufferDepth"), *planes), 0.0)
-        color = np.clip(camera.get_picture("Color")[..., :3], 0.0, 1.0)
+        # SAPIEN encodes with a power of 2.2.
+        linear = np.clip(camera.get_picture("Color")[..., :3], 0.0, 1.0) ** 2.2
+        color = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
         rgb[:] = np.where(seen[..., None], np.rint(color * 255.0), self._background)
 
 

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 
 use akrobat_cameras::CameraFrame;
-use akrobat_model::{Pose, TriMesh, pose};
-use akrobat_renderer::scene::Lighting;
-use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderBody, RenderError, RenderScene};
+use akrobat_model::{Material, Pose, TriMesh, pose};
+use akrobat_renderer::lighting::{Light, Reflection, Shadow};
+use akrobat_renderer::{
+    Backend, FrameState, Lighting, PlacedCamera, RenderBody, RenderError, RenderScene,
+};
 use numpy::{PyArray, PyArrayMethods, PyReadonlyArray3, PyReadonlyArray4};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -92,7 +94,7 @@ impl SapienBackend {
             None => Loaded {
                 renderer: open_renderer(py, scene, &cameras)?.unbind(),
                 bodies: Arc::clone(&scene.bodies),
-                lighting: scene.lighting,
+                lighting: scene.lighting.clone(),
                 cameras,
             },
         };
@@ -110,8 +112,8 @@ fn open_renderer<'py>(
     let bodies = PyList::empty(py);
     for body in scene.bodies.iter() {
         let meshes = PyList::empty(py);
-        for mesh in &body.meshes {
-            meshes.append(mesh_arrays(py, mesh)?)?;
+        for (mesh, material) in body.meshes.iter().zip(&body.materials) {
+            meshes.append(mesh_arrays(py, mesh, material, scene.lighting.reflection)?)?;
         }
         let entry = PyDict::new(py);
         entry.set_item("name", &body.name)?;
@@ -130,10 +132,14 @@ fn open_renderer<'py>(
         camera_list.append(entry)?;
     }
     let lighting = PyDict::new(py);
-    lighting.set_item("sun_direction", scene.lighting.sun_unit())?;
-    lighting.set_item("sun_rgb", scene.lighting.sun_rgb)?;
-    lighting.set_item("sky_rgb", scene.lighting.sky_rgb)?;
-    lighting.set_item("ground_rgb", scene.lighting.ground_rgb)?;
+    let lights = PyList::empty(py);
+    for light in &scene.lighting.lights {
+        lights.append(light_values(py, light)?)?;
+    }
+    lighting.set_item("lights", lights)?;
+    let [sky_rgb, ground_rgb] = scene.lighting.environment.sky_and_ground();
+    lighting.set_item("sky_rgb", sky_rgb)?;
+    lighting.set_item("ground_rgb", ground_rgb)?;
     // As numbers: Python would take u8 for bytes.
     lighting.set_item("background_rgb", scene.lighting.background_rgb.map(u32::from))?;
     py.import("akrobat.sapien_backend")?.getattr("SapienRenderer")?.call1((
@@ -143,15 +149,49 @@ fn open_renderer<'py>(
     ))
 }
 
-/// A mesh as a dictionary of arrays; `normals`, `uvs` and `texture` are `None` where it has none.
-fn mesh_arrays<'py>(py: Python<'py>, mesh: &TriMesh) -> PyResult<Bound<'py, PyDict>> {
+/// A light (world frame) as a dictionary.
+fn light_values<'py>(py: Python<'py>, light: &Light) -> PyResult<Bound<'py, PyDict>> {
+    let entry = PyDict::new(py);
+    let (kind, rgb, shadow) = match light {
+        Light::Directional { direction, rgb, shadow, .. } => {
+            entry.set_item("direction", direction)?;
+            ("directional", rgb, shadow)
+        }
+        Light::Point { position, rgb, shadow, .. } => {
+            entry.set_item("position", position)?;
+            ("point", rgb, shadow)
+        }
+        Light::Spot { position, target, rgb, inner_deg, outer_deg, shadow, .. } => {
+            entry.set_item("position", position)?;
+            entry.set_item("target", target)?;
+            entry.set_item("inner_deg", inner_deg)?;
+            entry.set_item("outer_deg", outer_deg)?;
+            ("spot", rgb, shadow)
+        }
+    };
+    entry.set_item("kind", kind)?;
+    entry.set_item("rgb", rgb)?;
+    entry.set_item("shadow", *shadow != Shadow::None)?;
+    Ok(entry)
+}
+
+/// A mesh as a dictionary of arrays; `normals`, `uvs` and `texture` are `None` where it has none. Surfaces are
+/// matt where reflection is Lambert's.
+fn mesh_arrays<'py>(
+    py: Python<'py>,
+    mesh: &TriMesh,
+    material: &Material,
+    reflection: Reflection,
+) -> PyResult<Bound<'py, PyDict>> {
     let entry = PyDict::new(py);
     entry.set_item("positions", table(py, &mesh.positions)?)?;
     entry.set_item("triangles", table(py, &mesh.triangles)?)?;
     entry.set_item("normals", optional_table(py, &mesh.normals)?)?;
     entry.set_item("uvs", optional_table(py, &mesh.uvs)?)?;
-    entry.set_item("base_color", mesh.material.base_color)?;
-    let texture = match &mesh.material.base_color_texture {
+    entry.set_item("base_color", material.base_color)?;
+    let pbr = (reflection == Reflection::Pbr).then_some((material.metallic, material.roughness));
+    entry.set_item("metallic_roughness", pbr)?;
+    let texture = match &material.base_color_texture {
         Some(image) => {
             let shape = [image.height() as usize, image.width() as usize, 4];
             Some(PyArray::from_slice(py, image.as_raw()).reshape(shape)?)

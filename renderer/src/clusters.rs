@@ -165,6 +165,8 @@ fn is_drawable(mesh: &TriMesh, triangle: usize) -> bool {
 pub(crate) struct Instance {
     /// Place of the body in [`crate::RenderScene::bodies`].
     pub body: usize,
+    /// Place of the mesh in [`RenderBody::meshes`].
+    pub part: usize,
     pub mesh: Arc<ClusteredMesh>,
 }
 
@@ -179,12 +181,12 @@ impl ClusteredScene {
         let mut by_mesh: HashMap<*const TriMesh, Arc<ClusteredMesh>> = HashMap::new();
         let mut instances = Vec::new();
         for (place, body) in bodies.iter().enumerate() {
-            for mesh in &body.meshes {
+            for (part, mesh) in body.meshes.iter().enumerate() {
                 let clustered = by_mesh
                     .entry(Arc::as_ptr(mesh))
                     .or_insert_with(|| Arc::new(ClusteredMesh::new(mesh.clone())));
                 if !clustered.clusters.is_empty() {
-                    instances.push(Instance { body: place, mesh: clustered.clone() });
+                    instances.push(Instance { body: place, part, mesh: clustered.clone() });
                 }
             }
         }

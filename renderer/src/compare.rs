@@ -24,6 +24,9 @@ use akrobat_cameras::CameraFrame;
 /// Largest deviation from a plane that counts as smooth, metres.
 const SMOOTH_M: f64 = 0.01;
 
+/// Largest angle between agreeing normals, radians.
+pub const NORMAL_TOLERANCE_RAD: f64 = 0.02;
+
 /// What two renderings must reach to count as the same image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tolerance {
@@ -81,6 +84,11 @@ pub struct Comparison {
     pub depth_p99_m: f64,
     /// Largest difference of a colour channel on inner pixels where both images agree in segment, levels.
     pub color_p99: u8,
+    /// Structural similarity of the colours, 1 for equal images; see [`ssim`].
+    pub ssim: f64,
+    /// Share of the inner pixels, seen in both images, whose normals are within [`NORMAL_TOLERANCE_RAD`]; 1 where either
+    /// image has no normals.
+    pub normal_agreement: f64,
     /// Segments of at least the tolerance's pixels in either image.
     pub segments: Vec<SegmentAgreement>,
 }
@@ -122,6 +130,8 @@ impl Comparison {
             depth_agreement: share(agreeing, seen_pixels),
             depth_p99_m: percentile_99(&differences).unwrap_or(0.0),
             color_p99: percentile_99(&color_differences).unwrap_or(0),
+            ssim: ssim(reference, other),
+            normal_agreement: normal_agreement(reference, other, &inner),
             segments: segment_agreements(reference, other, tolerance.segment_pixels),
         }
     }
@@ -170,16 +180,80 @@ impl fmt::Display for Comparison {
         write!(
             f,
             "{}: {:.1}% inner pixels, depth agrees in {:.3}% of {} (99th percentile {:.2e} m), worst \
-             IoU of {} segments {worst:.4}, 99th percentile of the colour difference {} levels",
+             IoU of {} segments {worst:.4}, 99th percentile of the colour difference {} levels, SSIM \
+             {:.4}, normals agree in {:.3}%",
             self.camera,
             100.0 * share(self.inner_pixels, self.pixels),
             100.0 * self.depth_agreement,
             self.seen_pixels,
             self.depth_p99_m,
             self.segments.len(),
-            self.color_p99
+            self.color_p99,
+            self.ssim,
+            100.0 * self.normal_agreement
         )
     }
+}
+
+/// Edge of the windows of [`ssim`], pixels.
+const SSIM_WINDOW: usize = 8;
+
+/// Mean structural similarity of the luma (Rec. 601, of the sRGB levels) over windows of 8 x 8 pixels, every fourth in
+/// either direction (Wang, Bovik, Sheikh and Simoncelli, *Image Quality Assessment: From Error Visibility to Structural
+/// Similarity*, IEEE TIP 2004, with their constants).
+pub fn ssim(reference: &CameraFrame, other: &CameraFrame) -> f64 {
+    let luma = |frame: &CameraFrame| -> Vec<f64> {
+        let pixels = frame.rgb.chunks_exact(3);
+        pixels
+            .map(|p| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]))
+            .collect()
+    };
+    let (a, b) = (luma(reference), luma(other));
+    let width = reference.intrinsics.width as usize;
+    let height = reference.intrinsics.height as usize;
+    let (mut sum, mut windows) = (0.0, 0);
+    for top in (0..(height + 1).saturating_sub(SSIM_WINDOW)).step_by(4) {
+        for left in (0..(width + 1).saturating_sub(SSIM_WINDOW)).step_by(4) {
+            sum += window_similarity(&a, &b, width, top * width + left);
+            windows += 1;
+        }
+    }
+    if windows == 0 { 1.0 } else { sum / f64::from(windows) }
+}
+
+fn window_similarity(a: &[f64], b: &[f64], width: usize, first: usize) -> f64 {
+    let count = (SSIM_WINDOW * SSIM_WINDOW) as f64;
+    let mut sums = [0.0; 5];
+    for row in 0..SSIM_WINDOW {
+        for pixel in first + row * width..first + row * width + SSIM_WINDOW {
+            let (x, y) = (a[pixel], b[pixel]);
+            for (sum, term) in sums.iter_mut().zip([x, y, x * x, y * y, x * y]) {
+                *sum += term;
+            }
+        }
+    }
+    let [x, y, xx, yy, xy] = sums.map(|sum| sum / count);
+    let (c1, c2) = ((0.01f64 * 255.0).powi(2), (0.03f64 * 255.0).powi(2));
+    let (variances, covariance) = (xx - x * x + yy - y * y, xy - x * y);
+    (2.0 * x * y + c1) * (2.0 * covariance + c2) / ((x * x + y * y + c1) * (variances + c2))
+}
+
+fn normal_agreement(reference: &CameraFrame, other: &CameraFrame, inner: &[bool]) -> f64 {
+    if reference.normals.is_empty() || other.normals.is_empty() {
+        return 1.0;
+    }
+    let least = NORMAL_TOLERANCE_RAD.cos();
+    let (mut both, mut agreeing) = (0, 0);
+    for pixel in (0..inner.len()).filter(|&pixel| inner[pixel]) {
+        if reference.segmentation[pixel] == 0 || other.segmentation[pixel] == 0 {
+            continue;
+        }
+        let (a, b) = (reference.normals[pixel], other.normals[pixel]);
+        let cosine: f64 = (0..3).map(|i| f64::from(a[i]) * f64::from(b[i])).sum();
+        both += 1;
+        agreeing += usize::from(cosine >= least);
+    }
+    share(agreeing, both)
 }
 
 /// Which pixels lie away from silhouettes; see the module's definition.
@@ -333,6 +407,26 @@ mod tests {
         assert!(violated(&noise, &noise).contains("silhouettes"));
         let halves = |at: u32| frame(move |u, _| (1.0, if u < at { 1 } else { 2 }));
         assert!(violated(&halves(32), &halves(34)).contains("intersection over union"));
+    }
+
+    #[test]
+    fn similarity_sees_structure() {
+        let paint = |level: &dyn Fn(u32, u32) -> u8| {
+            let mut image = frame(|_, _| (1.0, 1));
+            for v in 0..HEIGHT {
+                for u in 0..WIDTH {
+                    let pixel = 3 * (v * WIDTH + u) as usize;
+                    image.rgb[pixel..pixel + 3].fill(level(u, v));
+                }
+            }
+            image
+        };
+        let stripes = paint(&|u, _| if u % 6 < 3 { 60 } else { 190 });
+        let brighter = paint(&|u, _| if u % 6 < 3 { 62 } else { 192 });
+        let moved = paint(&|u, _| if (u + 2) % 6 < 3 { 60 } else { 190 });
+        assert!((ssim(&stripes, &stripes) - 1.0).abs() < 1e-12);
+        assert!(ssim(&stripes, &brighter) > 0.99);
+        assert!(ssim(&stripes, &moved) < 0.5);
     }
 
     #[test]

@@ -121,6 +121,7 @@ impl<'a> Replay<'a> {
             BodyGroup::Robot => robot_links[body.index],
             BodyGroup::Object => object_links[body.index],
             BodyGroup::Scene => self.task.scene.bodies[body.index].world_from_body,
+            BodyGroup::Clutter => self.scene.world_from_clutter[body.index],
         };
         FrameState {
             frame,

@@ -11,28 +11,36 @@
 //! **Albedo** (linear RGB) is the material's `base_color`, times its texture where it has one and the
 //! mesh has texture coordinates. Textures are sRGB, decoded per texel *before* filtering; filtering is
 //! bilinear on the full-size image with repeat wrapping, texel centres at half-integer positions, `v = 0` on
-//! the top row, coordinates interpolated perspective-correctly. Alpha, metallic and roughness have no effect.
+//! the top row, coordinates interpolated perspective-correctly. Alpha has no effect.
 //!
 //! **Normal** `n` (unit, world frame): the interpolated and renormalised vertex normal where the mesh
 //! has normals, else that of the triangle's plane; negated where it points away from the camera
 //! (`n . (eye - point) < 0`).
 //!
-//! **Colour** (linear) is `albedo * (ground + (sky - ground) * (1 + n.z) / 2 + sun * max(0, n . l))`
-//! per channel, with `l` the direction to the sun: Lambert reflection of one directional light and a
-//! hemispherical ambient term, without shadows. It is clamped to 0..1, encoded with the sRGB transfer
-//! function (IEC 61966-2-1) and rounded to the nearest of 256 levels.
+//! **Light** comes from the [`Lighting`]: ambient `A(n) = ground + (sky - ground) * (1 + n.z) / 2`, and from each light
+//! `L = rgb * fall * visible` from the direction `l`. `fall` is 1 for directional lights and `1 / distance^2` for the
+//! others; for spots it is also times the smoothstep of the cosine from the outer to the inner angle. `visible` is 0 where a caster
+//! of the light's lies between point and light, else 1; backends find it by shadow maps of
+//! [`Lighting::shadow_map_pixels`], sampled bilinearly 2 texels off the surface, and treat directional
+//! lights as 2 km away for it. There is neither reflected nor refracted light between surfaces.
+//!
+//! **Colour** (linear) is, with Lambert reflection, `albedo * (A(n) + sum of L * max(0, n . l))` per channel. With PBR
+//! it is `diffuse * A(n) + specular * A(m) + sum of pi * f(l) * L * max(0, n . l)`, with glTF 2.0's metallic-roughness
+//! reflectance `f` (roughness at least 0.05), `diffuse = albedo * (1 - metallic)`, Karis' approximation of the environment's
+//! `specular` share, and `m` the eye's mirror direction blended with `n` by the roughness. It is clamped to 0..1,
+//! encoded with the sRGB transfer function (IEC 61966-2-1) and rounded to the nearest of 256 levels.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 
 use akrobat_cameras::SegmentLabel;
 use akrobat_model::task::Task;
-use akrobat_model::{Part, Shape, TriMesh};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use akrobat_model::{Material, Part, Pose, Shape, TriMesh};
+use nalgebra::Point3;
 
-use crate::RenderError;
 use crate::clusters::ClusteredScene;
+use crate::front;
+use crate::{Lighting, RenderError};
 
 /// Which part of the world a body belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -43,6 +51,8 @@ pub enum BodyGroup {
     Object,
     /// A static body of the scene.
     Scene,
+    /// A thing that was added to be in the way of the eye alone.
+    Clutter,
 }
 
 impl BodyGroup {
@@ -52,6 +62,7 @@ impl BodyGroup {
             Self::Robot => "robot",
             Self::Object => "object",
             Self::Scene => "scene",
+            Self::Clutter => "clutter",
         }
     }
 }
@@ -72,47 +83,8 @@ pub struct RenderBody {
     /// Triangles in the frame of the link or scene body, metres; shared where the same file is used
     /// again in the same place.
     pub meshes: Vec<Arc<TriMesh>>,
-}
-
-/// Light and background. Colours are linear RGB.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Lighting {
-    /// Direction from the ground to the sun in the world frame; need not be of unit length.
-    pub sun_direction: [f32; 3],
-    /// Light of the sun on a surface that faces it.
-    pub sun_rgb: [f32; 3],
-    /// Ambient light on a surface that faces up.
-    pub sky_rgb: [f32; 3],
-    /// Ambient light on a surface that faces down.
-    pub ground_rgb: [f32; 3],
-    /// sRGB colour (0..255) where nothing is seen.
-    pub background_rgb: [u8; 3],
-}
-
-impl Default for Lighting {
-    fn default() -> Self {
-        Self {
-            sun_direction: [0.35, 0.25, 0.9],
-            sun_rgb: [0.55, 0.53, 0.5],
-            sky_rgb: [0.5, 0.52, 0.55],
-            ground_rgb: [0.28, 0.26, 0.24],
-            background_rgb: [168, 184, 200],
-        }
-    }
-}
-
-impl Lighting {
-    /// Unit direction to the sun; straight up where the direction given has no length.
-    pub fn sun_unit(&self) -> [f32; 3] {
-        let [x, y, z] = self.sun_direction;
-        let norm = (x * x + y * y + z * z).sqrt();
-        if norm > 0.0 && norm.is_finite() {
-            [x / norm, y / norm, z / norm]
-        } else {
-            [0.0, 0.0, 1.0]
-        }
-    }
+    /// What each mesh is drawn with: its own material, or another.
+    pub materials: Vec<Material>,
 }
 
 /// Everything that can be seen: robot links, object links and scene bodies that have geometry.
@@ -123,11 +95,20 @@ pub struct RenderScene {
     /// The bodies, robot first, then object, then scene. Backends keep what they derive from them for as
     /// long as they are handed the same allocation ([`Arc::ptr_eq`]).
     pub bodies: Arc<[RenderBody]>,
-    /// Light and background; free to change between frames.
+    /// Light and background, all lights in the world's frame; free to change between frames.
     pub lighting: Lighting,
+    /// The frame on the floor below the manipulated object, x out of its front: what lightings refer to.
+    pub world_from_front: Pose,
+    /// Poses of the clutter in the world, by [`RenderBody::index`].
+    pub world_from_clutter: Arc<[Pose]>,
     /// The bodies' meshes in clusters, made when they are first needed and shared by clones.
     clusters: Arc<OnceLock<ClusteredScene>>,
+    /// A sphere around each body in its own frame, likewise.
+    body_spheres: Arc<OnceLock<Vec<BodySphere>>>,
 }
+
+/// Centre and radius (metres); `None` for a body without vertices.
+pub(crate) type BodySphere = Option<(Point3<f64>, f64)>;
 
 /// Group, name, class, index in its tree or scene, and meshes in its own frame: a body without a segment id.
 pub type UnnumberedBody = (BodyGroup, String, String, usize, Vec<Arc<TriMesh>>);
@@ -158,7 +139,9 @@ impl RenderScene {
         }
         bodies.retain(|(.., meshes)| !meshes.is_empty());
         let name = format!("{} with {}", task.scene.name, task.object.name);
-        Self::new(name, bodies)
+        let mut scene = Self::new(name, bodies)?;
+        scene.world_from_front = front::world_from_front(task);
+        Ok(scene)
     }
 
     /// A scene from bodies without segment ids, which are given in this order.
@@ -170,17 +153,29 @@ impl RenderScene {
         let numbered =
             bodies.into_iter().enumerate().map(|(place, (group, name, class, index, meshes))| {
                 let segment_id = u16::try_from(place + 1).ok()?;
-                Some(RenderBody { group, name, class, segment_id, index, meshes })
+                let materials = meshes.iter().map(|mesh| mesh.material.clone()).collect();
+                Some(RenderBody { group, name, class, segment_id, index, meshes, materials })
             });
         match numbered.collect::<Option<Arc<[RenderBody]>>>() {
-            Some(bodies) => {
-                Ok(Self { name, bodies, lighting: Lighting::default(), clusters: Arc::default() })
-            }
+            Some(bodies) => Ok(Self {
+                name,
+                bodies,
+                lighting: Lighting::default(),
+                world_from_front: Pose::identity(),
+                world_from_clutter: Arc::default(),
+                clusters: Arc::default(),
+                body_spheres: Arc::default(),
+            }),
             None => Err(RenderError::Scene {
                 scene: name,
                 message: format!("{count} bodies, but segment ids reach only to {}", u16::MAX),
             }),
         }
+    }
+
+    /// The same scene in another light, whose lights are placed at the object's front.
+    pub fn lit_by(&self, lighting: &Lighting) -> Self {
+        Self { lighting: lighting.in_world(&self.world_from_front), ..self.clone() }
     }
 
     /// What the segment ids stand for.
@@ -199,10 +194,28 @@ impl RenderScene {
         self.clusters.get_or_init(|| ClusteredScene::new(&self.bodies))
     }
 
+    /// A sphere around each body, in its own frame.
+    pub(crate) fn body_spheres(&self) -> &[BodySphere] {
+        self.body_spheres.get_or_init(|| self.bodies.iter().map(sphere_around).collect())
+    }
+
     /// Number of triangles.
     pub fn triangle_count(&self) -> usize {
         self.bodies.iter().flat_map(|body| &body.meshes).map(|mesh| mesh.triangles.len()).sum()
     }
+}
+
+/// The sphere around a body's bounding box.
+fn sphere_around(body: &RenderBody) -> BodySphere {
+    let corners = body
+        .meshes
+        .iter()
+        .filter_map(|mesh| mesh.bounds())
+        .filter(|(low, high)| low.iter().chain(high).all(|value| value.is_finite()));
+    let (low, high) = corners
+        .map(|(low, high)| (Point3::from(low).cast::<f64>(), Point3::from(high).cast::<f64>()))
+        .reduce(|(low, high), (l, h)| (low.inf(&l), high.sup(&h)))?;
+    Some((nalgebra::center(&low, &high), (high - low).norm() / 2.0))
 }
 
 /// Triangulated parts, each kept once: a link's meshes that several parts share in the same place are

@@ -11,6 +11,7 @@ use akrobat_cameras::CameraFrame;
 use akrobat_gpu::AdapterChoice;
 use akrobat_model::{Pose, Shape, TriMesh};
 use akrobat_renderer::compare::{Comparison, Tolerance, violation};
+use akrobat_renderer::lighting::Environment;
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::{Backend, FrameState, Lighting, PlacedCamera, RenderScene};
 use common::ray_tracer::ray_traced;
@@ -113,9 +114,8 @@ fn image_sizes_poses_light_and_scenes_may_change_between_calls() {
     let (depth, segment, level) = render(&scene, &frame, &camera);
     assert!((depth - 2.5).abs() < 1e-5 && segment == 1, "{depth} {segment}");
 
-    scene.lighting.sun_rgb = [0.0; 3];
-    scene.lighting.sky_rgb = [0.1; 3];
-    scene.lighting.ground_rgb = [0.1; 3];
+    scene.lighting.lights.clear();
+    scene.lighting.environment = Environment::Constant { rgb: [0.1; 3] };
     assert!(render(&scene, &frame, &camera).2 < level);
 
     // A width whose rows are not a multiple of the copy alignment.

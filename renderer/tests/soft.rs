@@ -240,3 +240,27 @@ fn frames_and_sizes_that_do_not_fit_are_errors() {
     let message = backend.render(&scene, &frame, &[huge]).unwrap_err().to_string();
     assert!(message.contains("5000") && message.contains("4096"), "{message}");
 }
+
+#[test]
+fn supersampling_smooths_colour_and_leaves_depth_and_segments_as_they_are() {
+    let (scene, frame) = soup(5);
+    let mut camera = camera("outside", [4.0, 1.0, 1.5], [0.0; 3], 30.0);
+    camera.normals = true;
+    let cameras = std::slice::from_ref(&camera);
+    let plain = SoftBackend::new().render(&scene, &frame, cameras).unwrap().remove(0);
+    let samples: akrobat_renderer::Supersampling = "3".parse().unwrap();
+    let mut smooth = samples.over(Box::new(SoftBackend::new()));
+    let image = smooth.render(&scene, &frame, cameras).unwrap().remove(0);
+    let agree = |same: &dyn Fn(usize) -> bool| {
+        (0..plain.depth_m.len()).filter(|&p| same(p)).count() * 1000 >= plain.depth_m.len() * 999
+    };
+    assert!(agree(&|p| (plain.depth_m[p] - image.depth_m[p]).abs() <= 1e-4));
+    assert!(agree(&|p| plain.segmentation[p] == image.segmentation[p]));
+    assert_eq!(image.normals.len(), plain.normals.len());
+    // Where bodies meet, a pixel's colour is a mixture that neither has.
+    assert!(!agree(&|p| plain.rgb[3 * p] == image.rgb[3 * p]));
+    for wrong in ["2", "0", "x"] {
+        let message = wrong.parse::<akrobat_renderer::Supersampling>().unwrap_err();
+        assert!(message.contains("1, 3, 5"), "{message}");
+    }
+}

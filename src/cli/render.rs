@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use akrobat_renderer::Supersampling;
 use clap::{Args, ValueEnum};
 
 use super::Report;
@@ -14,6 +15,7 @@ use crate::{Error, ExitCode};
 ///   akrobat render drawer.h5 -o dataset                      three RGB-D cameras, HDF5 shards
 ///   akrobat render drawer.h5 -o dataset --episodes 0,5-9     some of the trajectories
 ///   akrobat render drawer.h5 -o dataset --rig my_rig.toml    other cameras (`akrobat schema rig`)
+///   akrobat render drawer.h5 -o dataset --lighting studio    other light, with shadows
 ///   akrobat render drawer.h5 -o dataset --format mcap        one MCAP log per episode
 ///   akrobat render drawer.h5 -o dataset --resume             go on after an interruption
 #[derive(Debug, Args)]
@@ -30,6 +32,13 @@ pub struct RenderArgs {
     /// Cameras: the name of a preset or a rig file.
     #[arg(long, value_name = "PRESET|FILE", default_value = "paper")]
     rig: String,
+    /// Light: the name of a preset (even, ceiling, sun, studio, evening, flat) or a lighting file (`akrobat schema
+    /// lighting`).
+    #[arg(long, value_name = "PRESET|FILE", default_value = "even")]
+    lighting: String,
+    /// Smooth colours: the mean of N x N samples of each pixel. Depth and segmentation stay those of the pixel's centre.
+    #[arg(long, value_name = "1|3|5", default_value_t)]
+    supersampling: Supersampling,
     /// Which files hold the episodes.
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -73,6 +82,8 @@ pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
         assets: args.assets.clone(),
         backend: args.backend,
         rig: Some(args.rig.clone()),
+        lighting: Some(args.lighting.clone()),
+        supersampling: args.supersampling,
         format: args.format,
         episodes: args.episodes.clone().map(|Episodes(list)| list),
         manipulation_only: args.phases == Phases::Manipulate,

@@ -38,6 +38,8 @@ enum Kind {
     Rig,
     /// Sensors: what becomes of ideal images.
     Sensor,
+    /// Light and background.
+    Lighting,
     /// The `[planner]` table of task files.
     Planner,
     /// The judge's tolerances.
@@ -51,6 +53,7 @@ impl Kind {
             Self::Robot => "robot",
             Self::Rig => "rig",
             Self::Sensor => "sensor",
+            Self::Lighting => "lighting",
             Self::Planner => "planner",
             Self::Judge => "judge",
         }
@@ -62,6 +65,7 @@ impl Kind {
             Self::Robot => schemars::schema_for!(akrobat_model::RobotFile),
             Self::Rig => schemars::schema_for!(akrobat_cameras::Rig),
             Self::Sensor => schemars::schema_for!(akrobat_cameras::Sensor),
+            Self::Lighting => schemars::schema_for!(akrobat_renderer::Lighting),
             Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
             Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
         }

@@ -11,7 +11,8 @@ use akrobat_packager::dataset::{Container, DatasetConfig, DatasetWriter, Licence
 use akrobat_packager::{Attachment, EpisodeInfo, trajectory_file};
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::{
-    Backend, EpisodeConfig, EpisodeRenderer, RenderError, RenderScene, SoftBackend,
+    Backend, EpisodeConfig, EpisodeRenderer, Lighting, RenderError, RenderScene, SoftBackend,
+    Supersampling,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -67,6 +68,10 @@ pub struct RenderRequest {
     pub backend: BackendChoice,
     /// A rig preset's name or a rig file; `paper` where absent.
     pub rig: Option<String>,
+    /// A lighting preset's name or a lighting file; `even` where absent.
+    pub lighting: Option<String>,
+    /// Colour is the mean of this many samples along either edge of a pixel: 1, 3 or 5.
+    pub supersampling: Supersampling,
     /// Which files hold the episodes.
     pub format: Format,
     /// Positions in the trajectory file; all where absent.
@@ -119,7 +124,9 @@ pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderRe
     let links = task.robot.tree.links().iter().map(|link| link.name.as_str());
     rig.validate_links(links).map_err(|error| Error::Render(error.into()))?;
     let backend = open_backend(request.backend, context)?;
-    let scene = RenderScene::from_task(&task)?;
+    let lighting = Lighting::named(request.lighting.as_deref().unwrap_or("even"))?;
+    let backend = request.supersampling.over(backend);
+    let scene = RenderScene::from_task(&task)?.lit_by(&lighting);
     let provenance = provenance(&set, &scene, backend.name(), request);
     let attachments = attachments(&task, &task_path, &search)?;
     let job = Job {
@@ -398,7 +405,11 @@ fn provenance(
         "akrobat": env!("CARGO_PKG_VERSION"),
         "content_hashes": header.content_hashes,
         "planner": { "backend": header.backend, "config": header.planner_config, "seed": header.seed },
-        "renderer": { "backend": backend, "lighting": scene.lighting },
+        "renderer": {
+            "backend": backend,
+            "lighting": scene.lighting,
+            "supersampling": request.supersampling,
+        },
         "phases": if request.manipulation_only { "manipulate" } else { "all" },
     })
 }

@@ -27,15 +27,24 @@ pub struct Vertex {
 #[repr(C)]
 struct MaterialUniform {
     base_color: [f32; 3],
-    padding: f32,
+    metallic: f32,
+    roughness: f32,
+    padding: [f32; 3],
 }
 
-/// A mesh's place in the shared buffers, and what it is drawn with.
+/// A mesh's place in the shared buffers.
 #[derive(Debug, Clone)]
-struct DrawnMesh {
+struct PackedMesh {
     indices: Range<u32>,
     first_vertex: i32,
     bounds: Bounds,
+}
+
+/// A mesh of a body, and what it is drawn with.
+#[derive(Debug, Clone)]
+struct Draw {
+    body: usize,
+    mesh: usize,
     material_offset: u32,
     texture: usize,
 }
@@ -46,9 +55,9 @@ pub struct UploadedBodies {
     source: Arc<[RenderBody]>,
     vertices: StorageBuffer<Vertex>,
     indices: StorageBuffer<u32>,
-    meshes: Vec<DrawnMesh>,
-    /// Body and mesh of each draw, by texture.
-    draws: Vec<(usize, usize)>,
+    meshes: Vec<PackedMesh>,
+    /// In the order of their textures.
+    draws: Vec<Draw>,
     /// Group 1 for each texture; the first is white.
     materials: Vec<wgpu::BindGroup>,
 }
@@ -61,14 +70,16 @@ impl UploadedBodies {
     ) -> Result<Self, GpuError> {
         let mut packer = Packer::new(context);
         let mut draws = Vec::new();
-        for (body_index, body) in bodies.iter().enumerate() {
-            for mesh in &body.meshes {
-                if let Some(mesh_index) = packer.mesh(mesh) {
-                    draws.push((body_index, mesh_index));
+        for (place, body) in bodies.iter().enumerate() {
+            for (source, material) in body.meshes.iter().zip(&body.materials) {
+                if let Some(mesh) = packer.mesh(source) {
+                    let material_offset = packer.material(material);
+                    let texture = packer.texture(source, material);
+                    draws.push(Draw { body: place, mesh, material_offset, texture });
                 }
             }
         }
-        draws.sort_by_key(|&(_, mesh)| packer.meshes[mesh].texture);
+        draws.sort_by_key(|draw| draw.texture);
         let usage = wgpu::BufferUsages::VERTEX;
         let vertices = StorageBuffer::new(context, "vertices", &packer.vertices, usage)?;
         let usage = wgpu::BufferUsages::INDEX;
@@ -87,14 +98,33 @@ impl UploadedBodies {
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, frame: &FrameState, frustum: &Frustum) {
         pass.set_vertex_buffer(0, self.vertices.raw().slice(..));
         pass.set_index_buffer(self.indices.raw().slice(..), wgpu::IndexFormat::Uint32);
-        for &(body, mesh) in &self.draws {
-            let mesh = &self.meshes[mesh];
-            if !frustum.may_see(&frame.world_from_body[body], &mesh.bounds) {
+        for draw in &self.draws {
+            let mesh = &self.meshes[draw.mesh];
+            if !frustum.may_see(&frame.world_from_body[draw.body], &mesh.bounds) {
                 continue;
             }
-            let instance = body as u32;
-            pass.set_bind_group(1, &self.materials[mesh.texture], &[mesh.material_offset]);
+            let instance = draw.body as u32;
+            pass.set_bind_group(1, &self.materials[draw.texture], &[draw.material_offset]);
             pass.draw_indexed(mesh.indices.clone(), mesh.first_vertex, instance..instance + 1);
+        }
+    }
+
+    /// Draws, without materials, the bodies that cast shadows.
+    pub fn draw_shapes(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        frame: &FrameState,
+        frustum: &Frustum,
+        casters: &[bool],
+    ) {
+        pass.set_vertex_buffer(0, self.vertices.raw().slice(..));
+        pass.set_index_buffer(self.indices.raw().slice(..), wgpu::IndexFormat::Uint32);
+        for draw in self.draws.iter().filter(|draw| casters[draw.body]) {
+            let mesh = &self.meshes[draw.mesh];
+            if frustum.may_see(&frame.world_from_body[draw.body], &mesh.bounds) {
+                let instance = draw.body as u32;
+                pass.draw_indexed(mesh.indices.clone(), mesh.first_vertex, instance..instance + 1);
+            }
         }
     }
 }
@@ -104,7 +134,7 @@ struct Packer<'a> {
     context: &'a Context,
     vertices: Vec<Vertex>,
     indices: Vec<u32>,
-    meshes: Vec<DrawnMesh>,
+    meshes: Vec<PackedMesh>,
     mesh_of_address: HashMap<*const TriMesh, usize>,
     textures: Vec<Arc<image::RgbaImage>>,
     material_stride: usize,
@@ -148,14 +178,11 @@ impl<'a> Packer<'a> {
             }
             self.indices.extend(0..3 * mesh.triangles.len() as u32);
         }
-        let drawn = DrawnMesh {
+        self.meshes.push(PackedMesh {
             indices: first_index..self.indices.len() as u32,
             first_vertex: first_vertex as i32,
             bounds: Bounds::from_corners(low, high),
-            material_offset: self.material(&mesh.material),
-            texture: self.texture(mesh),
-        };
-        self.meshes.push(drawn);
+        });
         self.mesh_of_address.insert(address, self.meshes.len() - 1);
         Some(self.meshes.len() - 1)
     }
@@ -164,15 +191,17 @@ impl<'a> Packer<'a> {
     fn material(&mut self, material: &Material) -> u32 {
         let offset = self.material_bytes.len();
         let [r, g, b, _] = material.base_color;
-        let uniform = MaterialUniform { base_color: [r, g, b], padding: 0.0 };
+        let Material { metallic, roughness, .. } = *material;
+        let uniform =
+            MaterialUniform { base_color: [r, g, b], metallic, roughness, padding: [0.0; 3] };
         self.material_bytes.extend(bytemuck::bytes_of(&uniform));
         self.material_bytes.resize(offset + self.material_stride, 0);
         offset as u32
     }
 
-    fn texture(&mut self, mesh: &TriMesh) -> usize {
+    fn texture(&mut self, mesh: &TriMesh, material: &Material) -> usize {
         let has_uvs = mesh.uvs.len() == mesh.positions.len();
-        let Some(image) = mesh.material.base_color_texture.as_ref().filter(|_| has_uvs) else {
+        let Some(image) = material.base_color_texture.as_ref().filter(|_| has_uvs) else {
             return 0;
         };
         let known = self.textures.iter().position(|other| Arc::ptr_eq(other, image));

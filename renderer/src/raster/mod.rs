@@ -17,7 +17,7 @@ use akrobat_gpu::{AdapterChoice, AdapterDescription, Context, GpuError};
 use self::geometry::UploadedBodies;
 use self::pipeline::Pipeline;
 use self::targets::Targets;
-use self::view::{Frustum, Views};
+use self::view::{FrameLights, Frustum, Views};
 use crate::{Backend, FrameState, PlacedCamera, RenderBody, RenderError, RenderScene};
 
 /// The `wgpu` backend.
@@ -69,11 +69,17 @@ impl WgpuBackend {
         cameras: &[PlacedCamera],
     ) -> Result<Vec<CameraFrame>, GpuError> {
         self.targets.fit(&self.context, cameras)?;
-        self.views.write(&self.context, &self.pipeline, scene, frame, cameras)?;
+        let lights = FrameLights::new(scene, frame);
+        self.views.write(&self.context, &self.pipeline, scene, frame, &lights, cameras)?;
         self.uploaded(&scene.bodies)?;
         let Self { context, pipeline, views, targets, uploaded } = self;
         let bodies = uploaded.as_ref().expect("uploaded above");
         let mut encoder = context.device().create_command_encoder(&Default::default());
+        for (index, (view, casters)) in lights.views().enumerate() {
+            let mut pass = views.begin_map(&mut encoder, index, scene.bodies.len());
+            pass.set_pipeline(pipeline.shadow());
+            bodies.draw_shapes(&mut pass, frame, &Frustum::new(view), casters);
+        }
         for (index, camera) in cameras.iter().enumerate() {
             let mut pass = targets.begin(&mut encoder, index, scene.lighting.background_rgb);
             pass.set_pipeline(pipeline.raster());

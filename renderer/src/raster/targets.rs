@@ -3,7 +3,7 @@
 use akrobat_cameras::CameraFrame;
 use akrobat_gpu::{Context, GpuError, Readback, wgpu};
 
-use super::pipeline::{COLOR_FORMAT, DEPTH_FORMAT, DISTANCE_FORMAT, SEGMENT_FORMAT};
+use super::pipeline::{COLOR_FORMAT, DEPTH_FORMAT, DISTANCE_FORMAT, NORMAL_FORMAT, SEGMENT_FORMAT};
 use crate::PlacedCamera;
 
 /// Bytes per pixel of each attachment that is read back.
@@ -58,6 +58,7 @@ impl Targets {
                 color(&attachments.color.view, wgpu::Color { r, g, b, a: 1.0 }),
                 color(&attachments.distance.view, nothing),
                 color(&attachments.segment.view, nothing),
+                color(&attachments.normal.view, nothing),
             ],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &attachments.depth.view,
@@ -94,24 +95,51 @@ impl Targets {
         let Some(readback) = &self.readback else { return Ok(Vec::new()) };
         readback.read(context, |mut bytes| {
             let mut unpack = |(attachments, camera): (&Attachments, &PlacedCamera)| {
-                let [color, distance, segment] = attachments.images().map(|image| {
+                let [color, distance, segment, normal] = attachments.images().map(|image| {
                     let (mine, rest) = bytes.split_at(image.read_bytes() as usize);
                     bytes = rest;
                     image.pixels(mine)
                 });
-                CameraFrame {
+                let normals = if camera.normals {
+                    let rotation = camera.world_from_camera.rotation.cast::<f32>();
+                    let decode = |bytes| {
+                        let in_camera = unit_from_octahedral(u32::from_le_bytes(bytes));
+                        (rotation * nalgebra::Vector3::from(in_camera)).into()
+                    };
+                    normal.map(decode).collect()
+                } else {
+                    Vec::new()
+                };
+                let mut frame = CameraFrame {
                     rgb: color.flat_map(|[r, g, b, _]| [r, g, b]).collect(),
                     depth_m: distance.map(f32::from_le_bytes).collect(),
                     // Segment ids are u16; the attachment is wider because every device has that format.
                     segmentation: segment
                         .map(|[low, high, ..]| u16::from_le_bytes([low, high]))
                         .collect(),
+                    normals,
                     ..CameraFrame::new(&camera.name, camera.intrinsics, camera.world_from_camera)
+                };
+                for (normal, id) in frame.normals.iter_mut().zip(&frame.segmentation) {
+                    if *id == 0 {
+                        *normal = [0.0; 3];
+                    }
                 }
+                frame
             };
             self.cameras.iter().zip(cameras).map(&mut unpack).collect()
         })
     }
+}
+
+/// The unit vector of an octahedral code of twice 16 bits (Cigolle et al., *A Survey of Efficient Representations for
+/// Independent Unit Vectors*, JCGT 2014).
+fn unit_from_octahedral(code: u32) -> [f32; 3] {
+    let [x, y] = [code & 0xffff, code >> 16].map(|half| half as f32 / 65535.0 * 2.0 - 1.0);
+    let z = 1.0 - x.abs() - y.abs();
+    let fold = (-z).max(0.0);
+    let v = nalgebra::Vector3::new(x - fold.copysign(x), y - fold.copysign(y), z);
+    v.normalize().into()
 }
 
 /// One camera's attachments.
@@ -121,6 +149,7 @@ struct Attachments {
     color: Image,
     distance: Image,
     segment: Image,
+    normal: Image,
     depth: Image,
 }
 
@@ -140,13 +169,14 @@ impl Attachments {
             color: image(COLOR_FORMAT),
             distance: image(DISTANCE_FORMAT),
             segment: image(SEGMENT_FORMAT),
+            normal: image(NORMAL_FORMAT),
             depth: image(DEPTH_FORMAT),
         })
     }
 
     /// The images that are read back.
-    fn images(&self) -> [&Image; 3] {
-        [&self.color, &self.distance, &self.segment]
+    fn images(&self) -> [&Image; 4] {
+        [&self.color, &self.distance, &self.segment, &self.normal]
     }
 
     fn read_bytes(&self) -> u64 {

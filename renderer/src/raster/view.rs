@@ -3,9 +3,11 @@
 use akrobat_gpu::{Context, GpuError, StorageBuffer, wgpu};
 use akrobat_model::Pose;
 use bytemuck::{Pod, Zeroable};
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Vector3};
 
-use super::pipeline::Pipeline;
+use super::pipeline::{Pipeline, SHADOW_FORMAT};
+use crate::lighting::{MOST_LIGHTS, Reflection, Source, WorldLight};
+use crate::shadow::{self, LightMaps};
 use crate::{FrameState, Lighting, PlacedCamera, RenderScene};
 
 /// The instance attributes `Body` of the shader.
@@ -19,17 +21,41 @@ pub struct BodyInView {
 
 impl BodyInView {
     fn new(camera_from_body: &Pose, segment_id: u16) -> Self {
-        let matrix = camera_from_body.to_homogeneous();
-        Self {
-            camera_from_body: std::array::from_fn(|row| {
-                std::array::from_fn(|column| matrix[(row, column)] as f32)
-            }),
-            segment_id: segment_id.into(),
-        }
+        Self { camera_from_body: rows(camera_from_body), segment_id: segment_id.into() }
     }
 }
 
-/// The uniform `View` of the shader; `vec3` members are padded to 16 bytes.
+/// The structure `Light` of the shader, camera frame.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+struct LightUniform {
+    /// Unit vector to a directional light (w = 0), or the position of another (w = 1).
+    place: [f32; 4],
+    /// Axis of a spot, and the cosine of its outer angle; for other lights -2, which every cosine exceeds.
+    axis: [f32; 4],
+    /// Colour, and the inverse of what the outer cosine lacks to the inner one.
+    rgb: [f32; 4],
+    first_map: u32,
+    map_count: u32,
+    padding: [u32; 2],
+}
+
+/// The structure `ShadowMap` of the shader.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+struct MapUniform {
+    /// Rows of the 3 x 4 matrix.
+    light_from_camera: [[f32; 4]; 3],
+    focal: f32,
+    near_m: f32,
+    far_m: f32,
+    padding: f32,
+}
+
+/// Most shadow maps: six around each of the lights.
+pub const MOST_MAPS: usize = 6 * MOST_LIGHTS;
+
+/// The uniform `View` of the shader; `vec3` members begin at multiples of 16 bytes.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct ViewUniform {
@@ -37,46 +63,168 @@ struct ViewUniform {
     offset: [f32; 2],
     near_m: f32,
     far_m: f32,
-    padding: [f32; 2],
-    sun_direction: [f32; 4],
-    sun_rgb: [f32; 4],
+    light_count: u32,
+    pbr: u32,
     up_direction: [f32; 4],
     sky_rgb: [f32; 4],
-    ground_rgb: [f32; 4],
+    ground_rgb: [f32; 3],
+    bias_m: f32,
+    normal_offset_texels: f32,
+    padding: [f32; 3],
+    lights: [LightUniform; MOST_LIGHTS],
+    maps: [MapUniform; MOST_MAPS],
 }
 
 impl ViewUniform {
-    fn new(camera: &PlacedCamera, lighting: &Lighting) -> Self {
+    /// What projects; no light.
+    fn new(camera: &PlacedCamera) -> Self {
         let k = &camera.intrinsics;
         let (width, height) = (f64::from(k.width), f64::from(k.height));
-        let camera_from_world = camera.world_from_camera.rotation.inverse();
-        let padded = |[x, y, z]: [f32; 3]| [x, y, z, 0.0];
         Self {
             scale: [(2.0 * k.fx / width) as f32, (2.0 * k.fy / height) as f32],
             offset: [(2.0 * k.cx / width - 1.0) as f32, (2.0 * k.cy / height - 1.0) as f32],
             near_m: camera.near_m as f32,
             far_m: camera.far_m as f32,
-            padding: [0.0; 2],
-            sun_direction: padded(rotate(&camera_from_world, lighting.sun_unit())),
-            sun_rgb: padded(lighting.sun_rgb),
-            up_direction: padded(rotate(&camera_from_world, [0.0, 0.0, 1.0])),
-            sky_rgb: padded(lighting.sky_rgb),
-            ground_rgb: padded(lighting.ground_rgb),
+            ..Self::zeroed()
         }
+    }
+
+    fn lit(camera: &PlacedCamera, lights: &FrameLights<'_>) -> Self {
+        let world_from_camera = &camera.world_from_camera;
+        let camera_from_world = world_from_camera.inverse();
+        let padded = |[x, y, z]: [f32; 3], w: f32| [x, y, z, w];
+        let turn =
+            |v: Vector3<f64>| -> [f32; 3] { (camera_from_world.rotation * v).cast::<f32>().into() };
+        let [sky, ground] = lights.lighting.environment.sky_and_ground();
+        let mut uniform = Self {
+            light_count: lights.lights.len() as u32,
+            pbr: u32::from(lights.lighting.reflection == Reflection::Pbr),
+            up_direction: padded(turn(Vector3::z()), 0.0),
+            sky_rgb: padded(sky, 0.0),
+            ground_rgb: ground,
+            bias_m: shadow::BIAS_M,
+            normal_offset_texels: shadow::NORMAL_OFFSET_TEXELS,
+            ..Self::new(camera)
+        };
+        let mut map_count = 0;
+        for ((light, maps), slot) in lights.lights.iter().zip(&lights.maps).zip(&mut uniform.lights)
+        {
+            let place =
+                |p: Point3<f64>| -> [f32; 3] { (camera_from_world * p).cast::<f32>().into() };
+            let no_cone = [0.0, 0.0, 0.0, -2.0];
+            (slot.place, slot.axis) = match light.source {
+                Source::Directional(to_light) => (padded(turn(to_light), 0.0), no_cone),
+                Source::Point(position) => (padded(place(position), 1.0), no_cone),
+                Source::Spot(position, axis, [_, outer]) => {
+                    (padded(place(position), 1.0), padded(turn(axis), outer as f32))
+                }
+            };
+            let inverse_width = match light.source {
+                Source::Spot(_, _, [inner, outer]) => (1.0 / (inner - outer)) as f32,
+                _ => 1.0,
+            };
+            slot.rgb = padded(light.rgb, inverse_width);
+            slot.first_map = map_count as u32;
+            let cameras = maps.as_ref().map_or(&[][..], |maps| &maps.cameras);
+            slot.map_count = cameras.len() as u32;
+            for map in cameras {
+                let light_from_camera = map.world_from_camera.inverse() * world_from_camera;
+                uniform.maps[map_count] = MapUniform {
+                    light_from_camera: rows(&light_from_camera),
+                    focal: map.intrinsics.fx as f32,
+                    near_m: map.near_m as f32,
+                    far_m: map.far_m as f32,
+                    padding: 0.0,
+                };
+                map_count += 1;
+            }
+        }
+        uniform
     }
 }
 
-fn rotate(rotation: &UnitQuaternion<f64>, direction: [f32; 3]) -> [f32; 3] {
-    (rotation * Vector3::from(direction).cast::<f64>()).cast::<f32>().into()
+/// A frame's lights and the views that their shadows are drawn from.
+pub struct FrameLights<'a> {
+    pub lighting: &'a Lighting,
+    pub lights: Vec<WorldLight>,
+    pub maps: Vec<Option<LightMaps>>,
 }
 
-/// Per-frame buffers, grown as needed.
+impl<'a> FrameLights<'a> {
+    pub fn new(scene: &'a RenderScene, frame: &FrameState) -> Self {
+        let lights = WorldLight::all(&scene.lighting);
+        let maps = shadow::light_maps(scene, frame, &lights);
+        Self { lighting: &scene.lighting, lights, maps }
+    }
+
+    /// The views of all maps, in the order of their layers, with what casts shadows in each.
+    pub fn views(&self) -> impl Iterator<Item = (&PlacedCamera, &[bool])> {
+        let views = |maps: &'_ LightMaps| maps.cameras.len();
+        debug_assert!(self.maps.iter().flatten().map(views).sum::<usize>() <= MOST_MAPS);
+        self.maps
+            .iter()
+            .flatten()
+            .flat_map(|maps| maps.cameras.iter().map(|camera| (camera, &maps.casters[..])))
+    }
+}
+
+/// The upper three rows of a pose's matrix.
+fn rows(pose: &Pose) -> [[f32; 4]; 3] {
+    let matrix = pose.to_homogeneous();
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)] as f32))
+}
+
+/// Per-frame buffers and shadow maps, grown as needed. Views are those of the lights first, then the cameras.
 #[derive(Debug)]
 pub struct Views {
     stride: usize,
     uniforms: StorageBuffer<u8>,
-    group: wgpu::BindGroup,
+    /// Group 0 where cameras are drawn, and where shadow maps are.
+    groups: [wgpu::BindGroup; 2],
     bodies: StorageBuffer<BodyInView>,
+    maps: ShadowMaps,
+    light_views: usize,
+}
+
+/// One square layer for each shadow map.
+#[derive(Debug)]
+struct ShadowMaps {
+    pixels: u32,
+    all: wgpu::TextureView,
+    layers: Vec<wgpu::TextureView>,
+}
+
+impl ShadowMaps {
+    fn new(context: &Context, pixels: u32, count: usize) -> Self {
+        let texture = context.device().create_texture(&wgpu::TextureDescriptor {
+            label: Some("shadow maps"),
+            size: wgpu::Extent3d {
+                width: pixels,
+                height: pixels,
+                depth_or_array_layers: count as u32,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: SHADOW_FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let view = |first: u32, count: Option<u32>, dimension| {
+            texture.create_view(&wgpu::TextureViewDescriptor {
+                dimension: Some(dimension),
+                base_array_layer: first,
+                array_layer_count: count,
+                ..Default::default()
+            })
+        };
+        let layer = |index: usize| view(index as u32, Some(1), wgpu::TextureViewDimension::D2);
+        Self {
+            pixels,
+            all: view(0, None, wgpu::TextureViewDimension::D2Array),
+            layers: (0..count).map(layer).collect(),
+        }
+    }
 }
 
 impl Views {
@@ -84,24 +232,30 @@ impl Views {
         let alignment = context.device().limits().min_uniform_buffer_offset_alignment as usize;
         let stride = size_of::<ViewUniform>().next_multiple_of(alignment);
         let uniforms = uniform_buffer(context, stride)?;
-        let group = bind_group(context, pipeline, &uniforms);
+        // What is bound must exist, even where no light casts shadows.
+        let maps = ShadowMaps::new(context, 1, 1);
+        let groups = bind_groups(context, pipeline, &uniforms, &maps);
         let bodies = body_buffer(context, 1)?;
-        Ok(Self { stride, uniforms, group, bodies })
+        Ok(Self { stride, uniforms, groups, bodies, maps, light_views: 0 })
     }
 
-    /// Uploads projection, light and body poses of every camera.
+    /// Uploads projections, lights and body poses of every light's view and every camera.
     pub fn write(
         &mut self,
         context: &Context,
         pipeline: &Pipeline,
         scene: &RenderScene,
         frame: &FrameState,
+        lights: &FrameLights<'_>,
         cameras: &[PlacedCamera],
     ) -> Result<(), GpuError> {
-        let mut uniforms = vec![0; cameras.len() * self.stride];
-        let mut bodies = Vec::with_capacity(cameras.len() * scene.bodies.len());
-        for (slot, camera) in uniforms.chunks_mut(self.stride).zip(cameras) {
-            let uniform = ViewUniform::new(camera, &scene.lighting);
+        let light_views: Vec<&PlacedCamera> = lights.views().map(|(view, _)| view).collect();
+        let count = light_views.len() + cameras.len();
+        let mut uniforms = vec![0; count * self.stride];
+        let mut bodies = Vec::with_capacity(count * scene.bodies.len());
+        let views = light_views.iter().map(|view| (*view, ViewUniform::new(view)));
+        let views = views.chain(cameras.iter().map(|c| (c, ViewUniform::lit(c, lights))));
+        for (slot, (camera, uniform)) in uniforms.chunks_mut(self.stride).zip(views) {
             slot[..size_of::<ViewUniform>()].copy_from_slice(bytemuck::bytes_of(&uniform));
             let camera_from_world = camera.world_from_camera.inverse();
             bodies.extend(scene.bodies.iter().zip(&frame.world_from_body).map(
@@ -110,9 +264,19 @@ impl Views {
                 },
             ));
         }
-        if uniforms.len() > self.uniforms.len() {
+        self.light_views = light_views.len();
+        let pixels = scene.lighting.shadow_map_pixels;
+        let stale_maps = self.light_views > 0
+            && (self.maps.pixels != pixels || self.maps.layers.len() < self.light_views);
+        if stale_maps {
+            self.maps = ShadowMaps::new(context, pixels, self.light_views);
+        }
+        let stale_uniforms = uniforms.len() > self.uniforms.len();
+        if stale_uniforms {
             self.uniforms = uniform_buffer(context, uniforms.len())?;
-            self.group = bind_group(context, pipeline, &self.uniforms);
+        }
+        if stale_maps || stale_uniforms {
+            self.groups = bind_groups(context, pipeline, &self.uniforms, &self.maps);
         }
         if bodies.len() > self.bodies.len() {
             self.bodies = body_buffer(context, bodies.len())?;
@@ -124,9 +288,45 @@ impl Views {
 
     /// Makes camera `index`'s view and its `body_count` bodies those of the following draws.
     pub fn bind(&self, pass: &mut wgpu::RenderPass<'_>, index: usize, body_count: usize) {
+        self.bind_view(pass, 0, self.light_views + index, body_count);
+    }
+
+    /// Starts drawing shadow map `index`.
+    pub fn begin_map<'encoder>(
+        &self,
+        encoder: &'encoder mut wgpu::CommandEncoder,
+        index: usize,
+        body_count: usize,
+    ) -> wgpu::RenderPass<'encoder> {
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("shadow map"),
+            color_attachments: &[],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.maps.layers[index],
+                depth_ops: Some(wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(0.0),
+                    store: wgpu::StoreOp::Store,
+                }),
+                stencil_ops: None,
+            }),
+            timestamp_writes: None,
+            occlusion_query_set: None,
+            multiview_mask: None,
+        });
+        self.bind_view(&mut pass, 1, index, body_count);
+        pass
+    }
+
+    fn bind_view(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        group: usize,
+        index: usize,
+        body_count: usize,
+    ) {
         let size = body_count * size_of::<BodyInView>();
         let range = (index * size) as u64..((index + 1) * size) as u64;
-        pass.set_bind_group(0, &self.group, &[(index * self.stride) as u32]);
+        pass.set_bind_group(0, &self.groups[group], &[(index * self.stride) as u32]);
         if !range.is_empty() {
             pass.set_vertex_buffer(1, self.bodies.raw().slice(range));
         }
@@ -141,23 +341,32 @@ fn body_buffer(context: &Context, len: usize) -> Result<StorageBuffer<BodyInView
     StorageBuffer::zeroed(context, "bodies in view", len, wgpu::BufferUsages::VERTEX)
 }
 
-fn bind_group(
+fn bind_groups(
     context: &Context,
     pipeline: &Pipeline,
     uniforms: &StorageBuffer<u8>,
-) -> wgpu::BindGroup {
-    context.device().create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("view"),
-        layout: pipeline.view_layout(),
-        entries: &[wgpu::BindGroupEntry {
-            binding: 0,
-            resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                buffer: uniforms.raw(),
-                offset: 0,
-                size: wgpu::BufferSize::new(size_of::<ViewUniform>() as u64),
-            }),
-        }],
-    })
+    maps: &ShadowMaps,
+) -> [wgpu::BindGroup; 2] {
+    let view = wgpu::BindGroupEntry {
+        binding: 0,
+        resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+            buffer: uniforms.raw(),
+            offset: 0,
+            size: wgpu::BufferSize::new(size_of::<ViewUniform>() as u64),
+        }),
+    };
+    let all_maps = wgpu::BindGroupEntry {
+        binding: 1,
+        resource: wgpu::BindingResource::TextureView(&maps.all),
+    };
+    let group = |layout, entries: &[wgpu::BindGroupEntry<'_>]| {
+        let label = Some("view");
+        context.device().create_bind_group(&wgpu::BindGroupDescriptor { label, layout, entries })
+    };
+    [
+        group(pipeline.view_layout(), &[view.clone(), all_maps]),
+        group(pipeline.light_view_layout(), &[view]),
+    ]
 }
 
 /// An axis-aligned box in a body's frame, metres.

@@ -6,15 +6,28 @@ struct View {
     offset: vec2<f32>,
     near_m: f32,
     far_m: f32,
-    light: Light,
+    light_count: u32,
+    // 1 for metallic-roughness reflection, 0 for Lambert's.
+    pbr: u32,
+    // Unit direction of the world's z axis, and the ambient light on surfaces facing it and facing away.
+    up_direction: vec3<f32>,
+    sky_rgb: vec3<f32>,
+    ground_rgb: vec3<f32>,
+    bias_m: f32,
+    normal_offset_texels: f32,
+    lights: array<Light, 8>,
+    maps: array<ShadowMap, 48>,
 }
 
 struct Material {
     // Linear RGB.
     base_color: vec3<f32>,
+    metallic: f32,
+    roughness: f32,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var shadow_maps: texture_depth_2d_array;
 @group(1) @binding(0) var<uniform> material: Material;
 @group(1) @binding(1) var base_color_texture: texture_2d<f32>;
 
@@ -44,6 +57,7 @@ struct Pixel {
     @location(0) srgb: vec4<f32>,
     @location(1) depth_m: f32,
     @location(2) segment_id: u32,
+    @location(3) normal: u32,
 }
 
 @vertex
@@ -72,11 +86,14 @@ fn vertex(vertex: Vertex, body: Body) -> Corner {
 
 @fragment
 fn fragment(corner: Corner) -> Pixel {
+    let normal = facing_normal(corner.point, corner.normal);
     let albedo = material.base_color * texture_repeat(base_color_texture, corner.uv);
-    let linear = shade(albedo, corner.point, corner.normal, view.light);
+    let surface =
+        Surface(albedo, material.metallic, material.roughness, corner.point, normal);
     var pixel: Pixel;
-    pixel.srgb = vec4(srgb_from_linear(linear), 1.0);
+    pixel.srgb = vec4(srgb_from_linear(reflected(surface)), 1.0);
     pixel.depth_m = corner.point.z;
     pixel.segment_id = corner.segment_id;
+    pixel.normal = octahedral(normal);
     return pixel;
 }

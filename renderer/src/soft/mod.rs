@@ -7,6 +7,7 @@
 //! compute the same bits.
 
 mod clip;
+mod light;
 mod occlusion;
 mod raster;
 mod shade;
@@ -18,6 +19,7 @@ use rayon::prelude::*;
 
 use crate::backend::{Backend, PlacedCamera};
 use crate::{FrameState, RenderError, RenderScene};
+use light::SceneLights;
 use view::View;
 use visibility::Visibility;
 
@@ -64,10 +66,11 @@ impl Backend for SoftBackend {
         }
         let clusters = scene.clusters();
         self.visibility.resize_with(cameras.len().max(self.visibility.len()), Visibility::default);
+        let lights = SceneLights::new(scene, clusters, frame);
         let render_one = |(camera, visibility): (&PlacedCamera, &mut Visibility)| {
-            let view = View::new(camera, &frame.world_from_body);
+            let view = View::new(camera, &frame.world_from_body, |_| true);
             visibility.find(&view, clusters);
-            shade::shade(&view, camera, scene, clusters, visibility)
+            shade::shade(&view, camera, scene, &lights, clusters, visibility)
         };
         Ok(cameras.par_iter().zip(&mut self.visibility).map(render_one).collect())
     }

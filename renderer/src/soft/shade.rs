@@ -3,20 +3,22 @@
 use std::ops::Range;
 
 use akrobat_cameras::CameraFrame;
-use akrobat_model::TriMesh;
+use akrobat_model::{Material, TriMesh};
 
+use super::light::{CameraLights, Reflector, SceneLights};
 use super::view::{Transform, View};
 use super::visibility::Visibility;
+use crate::RenderScene;
 use crate::backend::PlacedCamera;
 use crate::clusters::ClusteredScene;
 use crate::srgb::SrgbTables;
-use crate::{Lighting, RenderScene};
 
 /// The images of one camera.
 pub(super) fn shade(
     view: &View,
     camera: &PlacedCamera,
     scene: &RenderScene,
+    lights: &SceneLights,
     clusters: &ClusteredScene,
     visibility: &Visibility,
 ) -> CameraFrame {
@@ -33,7 +35,7 @@ pub(super) fn shade(
         scene,
         clusters,
         visibility,
-        light: CameraLight::new(&scene.lighting, &view.camera_from_world),
+        lights: CameraLights::new(&scene.lighting, lights, &camera.world_from_camera),
         world_from_camera: Transform::new(&camera.world_from_camera),
         srgb: SrgbTables::get(),
         rays_x: (0..view.width).map(|u| view.ray(0, u)).collect(),
@@ -48,7 +50,7 @@ struct Shading<'a> {
     scene: &'a RenderScene,
     clusters: &'a ClusteredScene,
     visibility: &'a Visibility,
-    light: CameraLight,
+    lights: CameraLights<'a>,
     world_from_camera: Transform,
     srgb: &'static SrgbTables,
     /// x of the ray `(x, y, 1)` through the pixel centres of each column.
@@ -119,16 +121,42 @@ impl Shading<'_> {
         }
         let colors = frame.rgb[3 * pixels.start..3 * pixels.end].as_chunks_mut::<3>().0;
         if let Some(light) = surface.flat_light.filter(|_| !surface.is_textured) {
-            let [r, g, b, _] = surface.mesh.material.base_color;
+            let [r, g, b, _] = surface.material.base_color;
             colors.fill(self.encode([r, g, b], light));
             return;
         }
+        let Some(directions) = &self.lights.directions else {
+            return self.fill_lit(colors, &surface, depths, rays_x, ray_y);
+        };
         for ((color, &depth), &ray_x) in colors.iter_mut().zip(&*depths).zip(rays_x) {
             let weights = surface.weights([ray_x * depth, ray_y * depth, depth]);
-            let light = surface
-                .flat_light
-                .unwrap_or_else(|| self.light.on(surface.normal_at(weights, [ray_x, ray_y, 1.0])));
+            let light = surface.flat_light.unwrap_or_else(|| {
+                self.lights.on(surface.normal_at(weights, [ray_x, ray_y, 1.0]), directions)
+            });
             *color = self.encode(surface.albedo(weights, self.srgb), light);
+        }
+    }
+
+    /// Colours where light depends on more than the normal.
+    fn fill_lit(
+        &self,
+        colors: &mut [[u8; 3]],
+        surface: &Surface<'_>,
+        depths: &[f32],
+        rays_x: &[f32],
+        ray_y: f32,
+    ) {
+        for ((color, &depth), &ray_x) in colors.iter_mut().zip(depths).zip(rays_x) {
+            let point = [ray_x * depth, ray_y * depth, depth];
+            let weights = surface.weights(point);
+            let reflector = Reflector {
+                albedo: surface.albedo(weights, self.srgb),
+                metallic: surface.material.metallic,
+                roughness: surface.material.roughness,
+            };
+            let normal = surface.normal_at(weights, [ray_x, ray_y, 1.0]);
+            let linear = self.lights.reflected(&reflector, point, normal);
+            *color = linear.map(|c| self.srgb.encode(c));
         }
     }
 
@@ -138,41 +166,11 @@ impl Shading<'_> {
     }
 }
 
-/// Light in the camera frame.
-struct CameraLight {
-    sun: [f32; 3],
-    up: [f32; 3],
-    sun_rgb: [f32; 3],
-    middle_rgb: [f32; 3],
-    half_difference_rgb: [f32; 3],
-}
-
-impl CameraLight {
-    fn new(lighting: &Lighting, camera_from_world: &Transform) -> Self {
-        let (sky, ground) = (lighting.sky_rgb, lighting.ground_rgb);
-        Self {
-            sun: camera_from_world.rotate(lighting.sun_unit()),
-            up: camera_from_world.rotate([0.0, 0.0, 1.0]),
-            sun_rgb: lighting.sun_rgb,
-            middle_rgb: std::array::from_fn(|i| 0.5 * (ground[i] + sky[i])),
-            half_difference_rgb: std::array::from_fn(|i| 0.5 * (sky[i] - ground[i])),
-        }
-    }
-
-    /// Light on a surface with unit normal `n`, which faces the camera.
-    #[inline(always)]
-    fn on(&self, n: [f32; 3]) -> [f32; 3] {
-        let (toward_sun, upward) = (dot(n, self.sun).max(0.0), dot(n, self.up));
-        std::array::from_fn(|i| {
-            self.middle_rgb[i] + self.half_difference_rgb[i] * upward + self.sun_rgb[i] * toward_sun
-        })
-    }
-}
-
 /// A triangle ready to be evaluated at pixels.
 struct Surface<'a> {
     segment: u16,
     mesh: &'a TriMesh,
+    material: &'a Material,
     is_textured: bool,
     /// Vertices in the mesh.
     corners: [usize; 3],
@@ -195,12 +193,14 @@ struct Surface<'a> {
 impl<'a> Surface<'a> {
     #[inline(always)]
     fn new(shading: &Shading<'a>, value: u32) -> Self {
-        let Shading { view, scene, clusters, visibility, light, .. } = shading;
+        let Shading { view, scene, clusters, visibility, lights, .. } = shading;
         let (drawn, index) = visibility.lookup(value);
         let instance = &clusters.instances[drawn.instance as usize];
         let cluster = &instance.mesh.clusters[drawn.cluster as usize];
         let triangle = instance.mesh.triangles[cluster.triangles.start + index];
         let mesh: &TriMesh = &instance.mesh.mesh;
+        let body = &scene.bodies[instance.body];
+        let material = &body.materials[instance.part];
         let camera_from_body = &view.camera_from_body[instance.body];
         let corners = mesh.triangles[triangle.source as usize].map(|vertex| vertex as usize);
         let p = triangle.corners.map(|corner| {
@@ -223,10 +223,11 @@ impl<'a> Surface<'a> {
             Some(normal.map(|c| (c * sign) as f32))
         };
         Self {
-            segment: scene.bodies[instance.body].segment_id,
-            is_textured: mesh.material.base_color_texture.as_ref().is_some_and(|t| !t.is_empty())
+            segment: body.segment_id,
+            is_textured: material.base_color_texture.as_ref().is_some_and(|t| !t.is_empty())
                 && mesh.uvs.len() == mesh.positions.len(),
             mesh,
+            material,
             corners,
             camera_from_body,
             offset,
@@ -236,7 +237,10 @@ impl<'a> Surface<'a> {
             gradient: [cross(e2, normal), cross(normal, e1)]
                 .map(|g| g.map(|c| (c * inverse_square) as f32)),
             flat_normal,
-            flat_light: flat_normal.map(|n| light.on(n)),
+            flat_light: lights
+                .directions
+                .as_ref()
+                .and_then(|directions| flat_normal.map(|n| lights.on(n, directions))),
             normal,
         }
     }
@@ -271,7 +275,7 @@ impl<'a> Surface<'a> {
 
     #[inline(always)]
     fn albedo(&self, weights: [f32; 3], srgb: &SrgbTables) -> [f32; 3] {
-        let material = &self.mesh.material;
+        let material = self.material;
         let [r, g, b, _] = material.base_color;
         match &material.base_color_texture {
             Some(texture) if self.is_textured => {

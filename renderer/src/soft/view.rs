@@ -59,13 +59,19 @@ pub(super) struct View {
     pub center: [f64; 2],
     /// Camera-frame pose of every body.
     pub camera_from_body: Vec<Transform>,
-    pub camera_from_world: Transform,
+    /// Which bodies are drawn.
+    pub shown: Vec<bool>,
     /// Inward unit normals of the four planes through the eye and the image's edges.
     sides: [[f32; 3]; 4],
 }
 
 impl View {
-    pub fn new(camera: &PlacedCamera, world_from_body: &[Pose]) -> Self {
+    /// The view of a camera on the bodies (by place) that `shown` is true for.
+    pub fn new(
+        camera: &PlacedCamera,
+        world_from_body: &[Pose],
+        shown: impl Fn(usize) -> bool,
+    ) -> Self {
         let i = &camera.intrinsics;
         let camera_from_world = camera.world_from_camera.inverse();
         let unit = |v: [f64; 3]| {
@@ -85,7 +91,7 @@ impl View {
                 .iter()
                 .map(|world_from_body| Transform::new(&(camera_from_world * world_from_body)))
                 .collect(),
-            camera_from_world: Transform::new(&camera_from_world),
+            shown: (0..world_from_body.len()).map(shown).collect(),
             sides: [
                 unit([i.fx, 0.0, i.cx]),
                 unit([-i.fx, 0.0, width - i.cx]),

@@ -116,7 +116,8 @@ impl Visibility {
     fn collect(&mut self, view: &View, scene: &ClusteredScene) {
         self.candidates.clear();
         for (instance, placed) in scene.instances.iter().enumerate() {
-            if !view.may_see(&view.sphere(placed.body, &placed.mesh.sphere)) {
+            let mesh_sphere = view.sphere(placed.body, &placed.mesh.sphere);
+            if !view.shown[placed.body] || !view.may_see(&mesh_sphere) {
                 continue;
             }
             for (index, cluster) in placed.mesh.clusters.iter().enumerate() {

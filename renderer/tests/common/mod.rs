@@ -30,6 +30,15 @@ impl World {
         self
     }
 
+    /// A body of the manipulated object, which shadows tell from the scene.
+    pub fn moving_body(mut self, name: &str, meshes: Vec<TriMesh>, world_from_body: Pose) -> Self {
+        self = self.body(name, meshes, world_from_body);
+        if let Some(body) = self.bodies.last_mut() {
+            body.0 = BodyGroup::Object;
+        }
+        self
+    }
+
     pub fn build(self) -> (RenderScene, FrameState) {
         let scene = RenderScene::new("test".into(), self.bodies).unwrap();
         (scene, frame_state(self.poses))
