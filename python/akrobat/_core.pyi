@@ -106,6 +106,8 @@ def render(
     *,
     backend: str,
     rig: str,
+    lighting: str,
+    supersampling: int,
     format: str,
     episodes: Sequence[int] | None,
     manipulation_only: bool,

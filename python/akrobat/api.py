@@ -52,6 +52,8 @@ def render(
     *,
     backend: Literal["auto", "soft", "wgpu", "sapien"] = "auto",
     rig: StrPath = "paper",
+    lighting: StrPath = "even",
+    supersampling: Literal[1, 3, 5] = 1,
     format: Literal["hdf5", "mcap"] = "hdf5",
     episodes: Sequence[int] | None = None,
     manipulation_only: bool = False,
@@ -67,6 +69,8 @@ def render(
     :param output: dataset folder: empty or new, unless `resume` is set
     :param backend: which renderer draws
     :param rig: cameras: the name of a preset or a rig file (`akrobat schema rig`)
+    :param lighting: light: the name of a preset or a lighting file (`akrobat schema lighting`)
+    :param supersampling: colour is the mean of this many samples along either edge of a pixel
     :param format: which files hold the episodes
     :param episodes: positions in the trajectory file; all where absent
     :param manipulation_only: leave out approach and grasp
@@ -85,6 +89,8 @@ def render(
                 output,
                 backend=backend,
                 rig=rig,
+                lighting=lighting,
+                supersampling=supersampling,
                 format=format,
                 episodes=episodes,
                 manipulation_only=manipulation_only,
@@ -99,6 +105,8 @@ def render(
         Path(output),
         backend=backend,
         rig=str(rig),
+        lighting=str(lighting),
+        supersampling=supersampling,
         format=format,
         episodes=None if episodes is None else list(episodes),
         manipulation_only=manipulation_only,

@@ -34,7 +34,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, format, episodes, manipulation_only, episodes_per_shard, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, supersampling, format, episodes, manipulation_only, episodes_per_shard, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -42,6 +42,8 @@ pub fn render<'py>(
     output: PathBuf,
     backend: &str,
     rig: String,
+    lighting: String,
+    supersampling: u32,
     format: &str,
     episodes: Option<Vec<usize>>,
     manipulation_only: bool,
@@ -57,6 +59,10 @@ pub fn render<'py>(
         assets,
         backend: choice::<BackendChoice>("backend", backend)?,
         rig: Some(rig),
+        lighting: Some(lighting),
+        supersampling: supersampling
+            .try_into()
+            .map_err(|message| InputError::new_err(format!("supersampling: {message}")))?,
         format: choice::<Format>("format", format)?,
         episodes,
         manipulation_only,

@@ -51,11 +51,9 @@ impl SrgbTables {
     #[inline(always)]
     pub fn encode(&self, linear: f32) -> u8 {
         let step = (linear.clamp(0.0, 1.0) * COARSE as f32) as usize;
-        let mut level = usize::from(self.level_of_step[step.min(COARSE)]);
-        while linear >= self.lower_edge[level + 1] {
-            level += 1;
-        }
-        level as u8
+        let level = self.level_of_step[step.min(COARSE)];
+        // A step is narrower than any level, so that one comparison is enough.
+        level + u8::from(linear >= self.lower_edge[usize::from(level) + 1])
     }
 }
 

@@ -328,6 +328,9 @@ def test_wrong_options_of_plan(
     [
         (["--rig", "no_such_rig"], ("no_such_rig", "paper")),
         (["--rig", "none/rig.toml"], ("none/rig.toml",)),
+        (["--lighting", "moonshine"], ("moonshine", "even", "studio")),
+        (["--lighting", "none/light.toml"], ("none/light.toml",)),
+        (["--supersampling", "2"], ("2", "1, 3, 5")),
         (["--backend", "crayons"], ("crayons", "soft", "wgpu", "sapien")),
         (["--format", "zip"], ("zip", "hdf5", "mcap")),
         (["--phases", "nap"], ("nap", "all", "manipulate")),

@@ -20,6 +20,7 @@ pub(super) struct Target<'a> {
     pub width: i32,
     pub height: i32,
     pub stride: usize,
+    /// These two are longer than all rows by [`LANES`].
     pub inverse_depth: &'a mut [f32],
     pub triangle: &'a mut [u32],
 }
@@ -100,8 +101,12 @@ impl Edge {
     }
 }
 
-/// Triangles whose pixel box is at most this large are tested pixel by pixel.
-const FEW_PIXELS: i32 = 24;
+/// Pixels that are tested at once.
+pub(super) const LANES: usize = 8;
+
+/// Triangles that span at most this much of the grid along either axis are tested in blocks of [`LANES`] pixels: their edge
+/// functions stay below 2^29 wherever the pixel box reaches.
+const SMALL: i32 = 32 * SUBPIXELS;
 
 /// Draws `corners` with `id` at the pixels in `bounds` where it is nearer than what is there. `depth` is
 /// asked for only if the triangle is not degenerate.
@@ -126,16 +131,19 @@ pub(super) fn draw(
         std::mem::swap(&mut q, &mut r);
     }
     let edges = [Edge::new(p, q), Edge::new(q, r), Edge::new(r, p)];
-    let [x0, y0, x1, y1] = bounds;
-    if (x1 - x0 + 1) * (y1 - y0 + 1) <= FEW_PIXELS {
-        draw_few(target, &edges, bounds, id, depth);
+    let span = |axis: usize| {
+        let [a, b, c] = corners.map(|corner| corner[axis]);
+        a.max(b).max(c) - a.min(b).min(c)
+    };
+    if span(0) <= SMALL && span(1) <= SMALL {
+        draw_blocks(target, &edges, bounds, id, depth);
     } else if let Some(depth) = depth() {
         draw_spans(target, &edges, bounds, id, &depth);
     }
 }
 
 #[inline(always)]
-fn draw_few(
+fn draw_blocks(
     target: &mut Target<'_>,
     edges: &[Edge; 3],
     [x0, y0, x1, y1]: [i32; 4],
@@ -144,22 +152,40 @@ fn draw_few(
 ) {
     let mut ask = Some(depth);
     let mut known = None;
-    for y in y0..=y1 {
-        let mut e = edges.map(|edge| edge.at(x0, y));
-        for x in x0..=x1 {
-            if (e[0] | e[1] | e[2]) >= 0 {
+    let steps_x = edges.map(|edge| edge.step_x as i32);
+    for left in (x0..=x1).step_by(LANES) {
+        let lanes = (x1 - left + 1).min(LANES as i32);
+        // Lanes beyond the pixel box count as outside.
+        let beyond: [i32; LANES] = std::array::from_fn(|i| -i32::from(i as i32 >= lanes));
+        let along: [[i32; LANES]; 3] =
+            std::array::from_fn(|e| std::array::from_fn(|i| steps_x[e] * i as i32));
+        let mut start = edges.map(|edge| edge.at(left, y0) as i32);
+        for y in y0..=y1 {
+            let outside: [i32; LANES] = std::array::from_fn(|i| {
+                (start[0] + along[0][i])
+                    | (start[1] + along[1][i])
+                    | (start[2] + along[2][i])
+                    | beyond[i]
+            });
+            if outside.iter().fold(-1, |all, lane| all & lane) >= 0 {
                 if let Some(ask) = ask.take() {
                     known = ask();
                 }
                 let Some(depth) = &known else { return };
-                let value = at_pixel(depth, row_start(depth, y), x);
-                let place = y as usize * target.stride + x as usize;
-                if value > target.inverse_depth[place] {
-                    target.inverse_depth[place] = value;
-                    target.triangle[place] = id;
+                let place = y as usize * target.stride + left as usize;
+                let row = row_start(depth, y);
+                let inverse_depths = target.inverse_depth[place..].first_chunk_mut::<LANES>();
+                let ids = target.triangle[place..].first_chunk_mut::<LANES>();
+                // A lane beyond the pixel box leaves what it finds there: another row, or the buffers' surplus.
+                let (Some(inverse_depths), Some(ids)) = (inverse_depths, ids) else { return };
+                for i in 0..LANES {
+                    let value = at_pixel(depth, row, left + i as i32);
+                    let nearer = (value > inverse_depths[i]) & (outside[i] >= 0);
+                    inverse_depths[i] = if nearer { value } else { inverse_depths[i] };
+                    ids[i] = if nearer { id } else { ids[i] };
                 }
             }
-            (0..3).for_each(|i| e[i] += edges[i].step_x);
+            (0..3).for_each(|e| start[e] = start[e].wrapping_add(edges[e].step_y as i32));
         }
     }
 }
@@ -216,8 +242,8 @@ mod tests {
         let pixels = (width * height) as usize;
         let mut count = vec![0; pixels];
         for corners in triangles {
-            let mut inverse_depth = vec![0.0; pixels];
-            let mut triangle = vec![0; pixels];
+            let mut inverse_depth = vec![0.0; pixels + LANES];
+            let mut triangle = vec![0; pixels + LANES];
             let mut target = Target {
                 width,
                 height,
@@ -278,11 +304,12 @@ mod tests {
     }
 
     #[test]
-    fn spans_and_single_pixels_agree() {
+    fn spans_and_blocks_agree() {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         for _ in 0..500 {
+            let base: [i32; 2] = std::array::from_fn(|_| random.random_range(-4000..14000));
             let corners: GridTriangle =
-                std::array::from_fn(|_| std::array::from_fn(|_| random.random_range(-9000..26000)));
+                std::array::from_fn(|_| base.map(|b| b + random.random_range(0..=SMALL)));
             let Some(bounds) = pixel_box(&corners, 64, 64) else { continue };
             let [p, mut q, mut r] = corners;
             let area = i64::from(q[0] - p[0]) * i64::from(r[1] - p[1])
@@ -293,7 +320,8 @@ mod tests {
             let edges = [Edge::new(p, q), Edge::new(q, r), Edge::new(r, p)];
             let depth = InverseDepth { a: 0.01, b: 0.02, c: 0.5, smallest: 0.1, largest: 2.0 };
             let images = [true, false].map(|few| {
-                let (mut inverse_depth, mut triangle) = (vec![0.0; 4096], vec![0; 4096]);
+                let (mut inverse_depth, mut triangle) =
+                    (vec![0.0; 4096 + LANES], vec![0; 4096 + LANES]);
                 let mut target = Target {
                     width: 64,
                     height: 64,
@@ -302,7 +330,7 @@ mod tests {
                     triangle: &mut triangle,
                 };
                 if few {
-                    draw_few(&mut target, &edges, bounds, 1, || Some(depth));
+                    draw_blocks(&mut target, &edges, bounds, 1, || Some(depth));
                 } else {
                     draw_spans(&mut target, &edges, bounds, 1, &depth);
                 }

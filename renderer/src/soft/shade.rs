@@ -310,17 +310,21 @@ fn facing(normal: [f32; 3], corners: [[f32; 3]; 3]) -> Option<[f32; 3]> {
 /// Bilinear sample in linear RGB with repeat wrapping.
 #[inline(always)]
 fn bilinear(texture: &image::RgbaImage, uv: [f32; 2], srgb: &SrgbTables) -> [f32; 3] {
-    let size = [texture.width(), texture.height()];
+    let size = [texture.width() as usize, texture.height() as usize];
     let axis = |i: usize| {
         let wrapped = uv[i] - uv[i].floor();
         let place = if wrapped.is_finite() { wrapped * size[i] as f32 - 0.5 } else { 0.0 };
         let first = place.floor();
-        let low = (first as i64).rem_euclid(i64::from(size[i])) as u32;
-        ([low, (low + 1) % size[i]], place - first)
+        // `first` is -1 at least and the size at most.
+        let low = if first < 0.0 { size[i] - 1 } else { first as usize };
+        let low = if low >= size[i] { 0 } else { low };
+        let high = if low + 1 == size[i] { 0 } else { low + 1 };
+        ([low, high], place - first)
     };
     let ((x, fraction_x), (y, fraction_y)) = (axis(0), axis(1));
-    let texel = |x: u32, y: u32| {
-        let [r, g, b, _] = texture.get_pixel(x, y).0;
+    let texels = texture.as_raw().as_chunks::<4>().0;
+    let texel = |x: usize, y: usize| {
+        let [r, g, b, _] = texels[y * size[0] + x];
         [srgb.decode(r), srgb.decode(g), srgb.decode(b)]
     };
     let (top, bottom) = (

@@ -2,7 +2,7 @@
 
 use super::clip::{Corner, clip};
 use super::occlusion::TileDepths;
-use super::raster::{GridTriangle, InverseDepth, Target, draw, pixel_box};
+use super::raster::{GridTriangle, InverseDepth, LANES, Target, draw, pixel_box};
 use super::view::{GUARD, SUBPIXELS, Transform, View};
 use crate::clusters::{CLUSTER_TRIANGLES, Cluster, ClusteredMesh, ClusteredScene, Sphere};
 
@@ -34,7 +34,7 @@ impl Candidate {
 /// What the visibility pass finds, with its buffers.
 #[derive(Debug, Default)]
 pub(super) struct Visibility {
-    /// 1 / z per pixel, per metre; rows of [`View::stride`].
+    /// 1 / z per pixel, per metre; rows of [`View::stride`], and a few more.
     pub inverse_depth: Vec<f32>,
     /// 0, or one more than the id of the nearest triangle; see [`Visibility::lookup`].
     pub triangle: Vec<u32>,
@@ -51,8 +51,7 @@ pub(super) struct Visibility {
 struct Projected {
     inverse_z: Vec<f32>,
     /// Place on the fixed-point grid; meaningless for vertices that do not pass [`is_safe`].
-    x: Vec<i32>,
-    y: Vec<i32>,
+    grid: Vec<[i32; 2]>,
 }
 
 impl Visibility {
@@ -101,7 +100,7 @@ impl Visibility {
     }
 
     fn reset(&mut self, view: &View) {
-        let pixels = view.stride * view.height;
+        let pixels = view.stride * view.height + LANES;
         self.inverse_depth.clear();
         self.inverse_depth.resize(pixels, 1.0 / view.far);
         self.triangle.clear();
@@ -155,7 +154,7 @@ impl Visibility {
         };
         let [x, y, z] = position.each_ref().map(|axis| &axis[first_vertex..]);
         let at = |corner: u16| [x, y, z].map(|axis| axis[usize::from(corner)]);
-        let grid_at = |c: u16| [projected.x[usize::from(c)], projected.y[usize::from(c)]];
+        let grid_at = |c: u16| projected.grid[usize::from(c)];
         let triangles = &placed.mesh.triangles[cluster.triangles.clone()];
         for (id, triangle) in (first_id..).zip(triangles) {
             let corners = triangle.corners;
@@ -194,14 +193,12 @@ impl Visibility {
             axis.resize(first + count, 0.0);
             &mut axis[first..]
         });
-        let grow = self.projected.x.len() < count;
-        if grow {
+        if self.projected.grid.len() < count {
             self.projected.inverse_z.resize(count, 0.0);
-            self.projected.x.resize(count, 0);
-            self.projected.y.resize(count, 0);
+            self.projected.grid.resize(count, [0; 2]);
         }
         let inverse_z = &mut self.projected.inverse_z[..count];
-        let (grid_x, grid_y) = (&mut self.projected.x[..count], &mut self.projected.y[..count]);
+        let places = &mut self.projected.grid[..count];
         let ([px, py, pz], [x, y, z]) = (
             [&px[..count], &py[..count], &pz[..count]],
             [&mut x[..count], &mut y[..count], &mut z[..count]],
@@ -215,8 +212,7 @@ impl Visibility {
             y[i] = p[1];
             z[i] = p[2];
             inverse_z[i] = 1.0 / p[2];
-            grid_x[i] = snap(u);
-            grid_y[i] = snap(v);
+            places[i] = [snap(u), snap(v)];
             unsafe_vertices |= u32::from(!within(view, p[2], u, v));
         }
         unsafe_vertices == 0

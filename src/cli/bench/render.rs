@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use akrobat_assets::demo;
 use akrobat_cameras::Rig;
+use akrobat_gpu::AdapterChoice;
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::pose::from_xyz_wxyz;
 use akrobat_model::task::Task;
@@ -13,6 +14,7 @@ use akrobat_model::{ModelError, Phase};
 use akrobat_renderer::handle::Handle;
 use akrobat_renderer::placement::PlacedRig;
 use akrobat_renderer::pointcloud::{CloudConfig, fuse};
+use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderScene, SoftBackend};
 use clap::Args;
@@ -44,8 +46,11 @@ pub struct BenchRenderArgs {
     /// How often the instants are rendered; the median counts.
     #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
-    /// Write the last scene's meshes (OBJ), and poses and cameras of all instants (JSON), into this folder instead of
-    /// measuring: for other renderers to draw the same.
+    /// Measure the `wgpu` backend too, on a graphics processor or a software driver.
+    #[arg(long)]
+    wgpu: bool,
+    /// Write the last scene's meshes (OBJ), poses and cameras of all instants (JSON), and the depth images (f32,
+    /// metres) into this folder instead of measuring: for other renderers to draw the same.
     #[arg(long, value_name = "DIR")]
     export: Option<PathBuf>,
 }
@@ -234,15 +239,35 @@ pub fn run(args: &BenchRenderArgs, context: &Context<'_>) -> Result<Report, Erro
         let text = format!("{}: {triangles} triangles", output.display());
         return Ok(Report::done(text, json!({ "folder": output, "triangles": triangles })));
     }
-    let mut scenes = vec![measure(&embedded(folder.path())?, args.repeats, context)?];
+    let built_in = embedded(folder.path())?;
+    let mut scenes = vec![measure(&built_in, args.repeats, context)?];
     if let Some(workload) = &furnished {
         scenes.push(measure(workload, args.repeats, context)?);
     }
-    Ok(report(&scenes))
+    let last = furnished.as_ref().unwrap_or(&built_in);
+    let wgpu = args.wgpu.then(|| measure_wgpu(last, args.repeats)).transpose()?;
+    Ok(report(&scenes, wgpu))
 }
 
-fn report(scenes: &[Measured]) -> Report {
-    let lines: Vec<String> = scenes
+/// CPU time of an image by the `wgpu` backend; where its driver computes on the CPU, that counts.
+fn measure_wgpu(workload: &Workload, repeats: u32) -> Result<serde_json::Value, Error> {
+    let mut backend = WgpuBackend::open(&AdapterChoice::Any)?;
+    let mut render = || {
+        for (frame, cameras) in &workload.frames {
+            backend.render(&workload.scene, frame, cameras)?;
+        }
+        Ok(())
+    };
+    render()?;
+    let [cpu, _] = median_ms(repeats, &mut render)?;
+    Ok(json!({
+        "adapter": backend.adapter().to_string(),
+        "cpu_ms_per_image": cpu / workload.image_count() as f64,
+    }))
+}
+
+fn report(scenes: &[Measured], wgpu: Option<serde_json::Value>) -> Report {
+    let mut lines: Vec<String> = scenes
         .iter()
         .map(|m| {
             format!(
@@ -266,5 +291,12 @@ fn report(scenes: &[Measured]) -> Report {
             "cpu_ms_per_cloud": m.cpu_ms_per_cloud,
         })
     });
-    Report::done(lines.join("\n"), json!({ "soft": main, "scenes": scenes }))
+    if let Some(wgpu) = &wgpu {
+        lines.push(format!("wgpu: {wgpu}"));
+    }
+    let mut json = json!({ "soft": main, "scenes": scenes });
+    if let (Some(wgpu), Some(fields)) = (wgpu, json.as_object_mut()) {
+        fields.insert("wgpu".into(), wgpu);
+    }
+    Report::done(lines.join("\n"), json)
 }

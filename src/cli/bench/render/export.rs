@@ -4,12 +4,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use akrobat_model::pose::to_xyz_wxyz;
-use akrobat_renderer::{FrameState, PlacedCamera, RenderBody, RenderScene};
+use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderBody, RenderScene, SoftBackend};
 use serde_json::json;
 
 use crate::Error;
 
-/// Writes `body_<segment id>.obj` for each body, in its frame, and `frames.json`. Returns the number of triangles.
+/// Writes `body_<segment id>.obj` for each body, in its frame, `frames.json`, and `depth_<frame>_<camera>.f32` for each
+/// image (little-endian, metres). Returns the number of triangles.
 pub fn write(
     folder: &Path,
     scene: &RenderScene,
@@ -51,6 +52,14 @@ pub fn write(
             json!({ "world_from_body": poses, "cameras": cameras })
         })
         .collect();
+    let mut backend = SoftBackend::new();
+    for (number, (frame, cameras)) in frames.iter().enumerate() {
+        for (camera, image) in backend.render(scene, frame, cameras)?.iter().enumerate() {
+            let path = folder.join(format!("depth_{number}_{camera}.f32"));
+            let bytes: Vec<u8> = image.depth_m.iter().flat_map(|d| d.to_le_bytes()).collect();
+            std::fs::write(&path, bytes).map_err(|e| Error::write(&path, &e))?;
+        }
+    }
     let path = folder.join("frames.json");
     let text = json!({ "scene": scene.name, "bodies": bodies, "frames": instants }).to_string();
     std::fs::write(&path, text).map_err(|e| Error::write(&path, &e))?;
