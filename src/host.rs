@@ -2,7 +2,11 @@
 
 use std::path::PathBuf;
 
+use akrobat_packager::audit_file::EpisodeAudit;
 use akrobat_renderer::{Backend, RenderError};
+
+use crate::Error;
+use crate::pipeline::{EvalJob, ReplayJob};
 
 /// Work that needs Python. The pure binary has no host and says which command to run instead.
 ///
@@ -16,4 +20,26 @@ pub trait Host: Sync {
     /// # Errors
     /// [`RenderError::Device`] where SAPIEN is not installed or finds no usable Vulkan driver.
     fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError>;
+
+    /// Drives trajectories through physics. `sink` takes each episode as it ends, in any order, and
+    /// returns whether to go on. Returns what the world was made of.
+    ///
+    /// # Errors
+    /// Where the physics engine is not installed or fails.
+    fn replay(
+        &self,
+        job: &ReplayJob<'_>,
+        sink: &mut dyn FnMut(EpisodeAudit) -> bool,
+    ) -> Result<serde_json::Value, Error>;
+
+    /// Tries a policy in closed loop and writes tables, videos and a plot into the job's folder. `sink`
+    /// takes each trial's row as it ends and returns whether to go on. Returns the summary.
+    ///
+    /// # Errors
+    /// Where the policy cannot be loaded or the physics engine is not installed.
+    fn evaluate(
+        &self,
+        job: &EvalJob,
+        sink: &mut dyn FnMut(serde_json::Value) -> bool,
+    ) -> Result<serde_json::Value, Error>;
 }

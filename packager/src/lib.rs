@@ -3,6 +3,7 @@
 //! Files appear under their final name only when they are whole: they are written under a
 //! temporary name in the same folder, synced and renamed. The same input gives the same bytes.
 
+pub mod audit_file;
 pub mod dataset;
 pub mod episode;
 pub mod error;

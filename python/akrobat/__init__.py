@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 
-from akrobat._core import Trajectories, Trajectory
+from akrobat._core import Task, Trajectories, Trajectory
 from akrobat.api import open, plan, render
 from akrobat.dataset import Dataset, Episode
 from akrobat.errors import AkrobatError, InputError, RunError
@@ -14,6 +14,7 @@ __all__ = [
     "Episode",
     "InputError",
     "RunError",
+    "Task",
     "Trajectories",
     "Trajectory",
     "__version__",

@@ -88,6 +88,52 @@ class Trajectory:
     def sample(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Robot and object positions at a time on the dense path, linear between samples."""
 
+@final
+class Task:
+    """A task with everything it names loaded, repaired and checked."""
+
+    @staticmethod
+    def load(path: Path, assets: Sequence[Path]) -> Task:
+        """Loads a task file."""
+    @staticmethod
+    def of_trajectories(path: Path, assets: Sequence[Path]) -> Task:
+        """Loads the task that a trajectory file was planned for, from the same inputs."""
+    @property
+    def name(self) -> str:
+        """The task's name."""
+    @property
+    def seed(self) -> int:
+        """The task's seed."""
+    @property
+    def goals(self) -> list[float]:
+        """Positions of the driven joint to reach, rad or m."""
+    def robot(self) -> dict[str, Any]:
+        """The robot: its tree, its planned joints and its gripper."""
+    def object(self) -> dict[str, Any]:
+        """The object: its tree, the driven joint and the handle."""
+    def scene(self) -> list[dict[str, Any]]:
+        """The static surroundings: a list of bodies with their parts."""
+
+@final
+class Observer:
+    """Renders single states of a task on the CPU."""
+
+    def __init__(
+        self,
+        task: Task,
+        rig: str,
+        cloud_points: int,
+        robot: Sequence[float],
+        goal: float,
+        link_from_handle: Sequence[float],
+    ) -> None:
+        """Mounts a rig for a robot at `robot` while the driven joint moves to `goal`."""
+    def observe(self, robot: Sequence[float], object: Sequence[float]) -> dict[str, Any]:
+        """What is seen: `cameras` by name and `cloud` `[N, 6]`."""
+
+def physics_config(values: dict[str, Any]) -> dict[str, Any]:
+    """The settings of a replay: the defaults with some values replaced."""
+
 def plan(
     task: Path,
     output: Path | None,
@@ -111,6 +157,7 @@ def render(
     format: str,
     episodes: Sequence[int] | None,
     manipulation_only: bool,
+    states: str,
     episodes_per_shard: int | None,
     resume: bool,
     threads: int | None,

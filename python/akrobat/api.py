@@ -57,6 +57,7 @@ def render(
     format: Literal["hdf5", "mcap"] = "hdf5",
     episodes: Sequence[int] | None = None,
     manipulation_only: bool = False,
+    states: Literal["planned", "simulated"] = "planned",
     episodes_per_shard: int | None = None,
     resume: bool = False,
     threads: int | None = None,
@@ -74,6 +75,7 @@ def render(
     :param format: which files hold the episodes
     :param episodes: positions in the trajectory file; all where absent
     :param manipulation_only: leave out approach and grasp
+    :param states: the plan, or what the robot did in physics (from the audit of `akrobat replay`)
     :param episodes_per_shard: episodes in one HDF5 shard; an interruption loses at most that many
     :param resume: continue what an interrupted run with the same arguments left
     :param threads: number of threads; the result does not depend on it
@@ -94,6 +96,7 @@ def render(
                 format=format,
                 episodes=episodes,
                 manipulation_only=manipulation_only,
+                states=states,
                 episodes_per_shard=episodes_per_shard,
                 resume=resume,
                 threads=threads,
@@ -110,6 +113,7 @@ def render(
         format=format,
         episodes=None if episodes is None else list(episodes),
         manipulation_only=manipulation_only,
+        states=states,
         episodes_per_shard=episodes_per_shard,
         resume=resume,
         threads=threads,

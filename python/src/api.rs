@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use akrobat::CancelToken;
-use akrobat::pipeline::{self, BackendChoice, Context, Format, PlanRequest, RenderRequest};
+use akrobat::pipeline::{self, BackendChoice, Context, Format, PlanRequest, RenderRequest, States};
 use akrobat::progress::{Progress, Verbosity};
 use clap::ValueEnum;
 use pyo3::prelude::*;
@@ -34,7 +34,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, supersampling, format, episodes, manipulation_only, episodes_per_shard, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, supersampling, format, episodes, manipulation_only, states, episodes_per_shard, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -47,6 +47,7 @@ pub fn render<'py>(
     format: &str,
     episodes: Option<Vec<usize>>,
     manipulation_only: bool,
+    states: &str,
     episodes_per_shard: Option<u32>,
     resume: bool,
     threads: Option<usize>,
@@ -66,6 +67,7 @@ pub fn render<'py>(
         format: choice::<Format>("format", format)?,
         episodes,
         manipulation_only,
+        states: choice::<States>("states", states)?,
         episodes_per_shard,
         resume,
         threads,

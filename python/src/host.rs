@@ -2,10 +2,13 @@
 
 use std::path::PathBuf;
 
-use akrobat::Host;
+use akrobat::pipeline::{EvalJob, ReplayJob};
+use akrobat::{Error, Host};
+use akrobat_packager::audit_file::EpisodeAudit;
 use akrobat_renderer::{Backend, RenderError};
 use pyo3::prelude::*;
 
+use crate::physics;
 use crate::sapien::SapienBackend;
 
 /// The host that hands work back to Python.
@@ -22,5 +25,21 @@ impl Host for PythonHost {
 
     fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError> {
         Ok(Box::new(SapienBackend::new()?))
+    }
+
+    fn replay(
+        &self,
+        job: &ReplayJob<'_>,
+        sink: &mut dyn FnMut(EpisodeAudit) -> bool,
+    ) -> Result<serde_json::Value, Error> {
+        physics::replay(job, sink)
+    }
+
+    fn evaluate(
+        &self,
+        job: &EvalJob,
+        sink: &mut dyn FnMut(serde_json::Value) -> bool,
+    ) -> Result<serde_json::Value, Error> {
+        physics::evaluate(job, sink)
     }
 }

@@ -5,7 +5,10 @@ mod command_line;
 mod errors;
 mod host;
 mod interruptible;
+mod observer;
+mod physics;
 mod sapien;
+mod task;
 mod trajectories;
 
 use pyo3::prelude::*;
@@ -19,6 +22,12 @@ mod _core {
     use crate::command_line::run;
     #[pymodule_export]
     use crate::errors::{AkrobatError, InputError, RunError};
+    #[pymodule_export]
+    use crate::observer::PyObserver;
+    #[pymodule_export]
+    use crate::physics::physics_config;
+    #[pymodule_export]
+    use crate::task::PyTask;
     #[pymodule_export]
     use crate::trajectories::{PyTrajectories, PyTrajectory};
 }

@@ -2,9 +2,11 @@
 
 mod bench;
 mod demo;
+mod eval;
 mod inspect;
 mod plan;
 mod render;
+mod replay;
 mod schema;
 mod validate;
 
@@ -41,6 +43,8 @@ enum Command {
     Demo(demo::DemoArgs),
     Plan(plan::PlanArgs),
     Render(render::RenderArgs),
+    Replay(replay::ReplayArgs),
+    Eval(eval::EvalArgs),
     Inspect(inspect::InspectArgs),
     Validate(validate::ValidateArgs),
     Schema(schema::SchemaArgs),
@@ -95,6 +99,8 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Demo(args) => demo::run(args, context),
         Command::Plan(args) => plan::run(args, context),
         Command::Render(args) => render::run(args, context),
+        Command::Replay(args) => replay::run(args, context),
+        Command::Eval(args) => eval::run(args, context),
         Command::Validate(args) => validate::run(args),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Schema(args) => schema::run(args),

@@ -6,7 +6,7 @@ use akrobat_renderer::Supersampling;
 use clap::{Args, ValueEnum};
 
 use super::Report;
-use crate::pipeline::{self, BackendChoice, Context, Format, RenderReport, RenderRequest};
+use crate::pipeline::{self, BackendChoice, Context, Format, RenderReport, RenderRequest, States};
 use crate::{Error, ExitCode};
 
 /// Replay trajectories, render what cameras see, and write a dataset.
@@ -48,6 +48,10 @@ pub struct RenderArgs {
     /// Which phases are rendered.
     #[arg(long, value_enum, default_value_t)]
     phases: Phases,
+    /// What is shown: the plan, or what the robot did in physics (needs the audit of `akrobat replay`; failed episodes are left
+    /// out).
+    #[arg(long, value_enum, default_value_t)]
+    states: States,
     /// Episodes in one HDF5 shard. What is interrupted loses at most the shard that was being written.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     episodes_per_shard: Option<u32>,
@@ -71,8 +75,9 @@ enum Phases {
     Manipulate,
 }
 
+/// Positions in a trajectory file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Episodes(Vec<usize>);
+pub struct Episodes(pub Vec<usize>);
 
 /// Runs the verb.
 pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
@@ -87,6 +92,7 @@ pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
         format: args.format,
         episodes: args.episodes.clone().map(|Episodes(list)| list),
         manipulation_only: args.phases == Phases::Manipulate,
+        states: args.states,
         episodes_per_shard: args.episodes_per_shard,
         resume: args.resume,
         threads: args.threads,
@@ -114,13 +120,16 @@ fn text(report: &RenderReport) -> String {
         line += &format!("; {} episodes were there already", report.resumed);
     }
     if report.filtered > 0 {
-        line += &format!("; {} left out, which the judge had refused", report.filtered);
+        line += &format!(
+            "; {} left out, which the judge had refused or physics failed",
+            report.filtered
+        );
     }
     line
 }
 
 /// Reads `0,5-9` as 0, 5, 6, 7, 8, 9.
-fn parse_episodes(text: &str) -> Result<Episodes, String> {
+pub fn parse_episodes(text: &str) -> Result<Episodes, String> {
     let number = |text: &str| {
         text.trim()
             .parse::<usize>()

@@ -44,6 +44,8 @@ enum Kind {
     Planner,
     /// The judge's tolerances.
     Judge,
+    /// Controller gains and contact properties of `akrobat replay --gains`.
+    Physics,
 }
 
 impl Kind {
@@ -56,6 +58,7 @@ impl Kind {
             Self::Lighting => "lighting",
             Self::Planner => "planner",
             Self::Judge => "judge",
+            Self::Physics => "physics",
         }
     }
 
@@ -68,6 +71,7 @@ impl Kind {
             Self::Lighting => schemars::schema_for!(akrobat_renderer::Lighting),
             Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
             Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
+            Self::Physics => schemars::schema_for!(crate::pipeline::PhysicsConfig),
         }
     }
 

@@ -2,9 +2,13 @@
 
 mod bench_plan;
 mod demo;
+mod evaluate;
 mod plan;
+mod planned;
 mod render;
+mod replay;
 mod report;
+mod simulated;
 
 use std::path::{Path, PathBuf};
 
@@ -15,8 +19,14 @@ use crate::{Error, Host};
 
 pub use bench_plan::{PlanBenchReport, PlanBenchRequest, ProblemResult, bench_plan};
 pub use demo::{DemoReport, DemoRequest, DemoRobotChoice, DemoTask, demo};
+pub use evaluate::{EvalJob, evaluate};
 pub use plan::{PlanReport, PlanRequest, plan};
-pub use render::{BackendChoice, Format, RenderReport, RenderRequest, render};
+pub use planned::planned_task;
+use planned::selection;
+pub use render::{BackendChoice, Format, RenderReport, RenderRequest, States, load_rig, render};
+pub use replay::{
+    JointGains, PhysicsConfig, ReplayJob, ReplayReport, ReplayRequest, audit_path, replay,
+};
 pub use report::{ReportRequest, report};
 
 /// Folders of assets, separated like those of `PATH`.
@@ -31,21 +41,27 @@ pub struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Where files are looked up: the folders given, then `$AKROBAT_ASSET_PATH`, then what the host
-    /// has. (Files beside the file that names them come first of all.)
     pub(crate) fn asset_search(&self, given: &[PathBuf]) -> Result<AssetSearch, Error> {
-        if let Some(folder) = given.iter().find(|folder| !folder.is_dir()) {
-            return Err(Error::Usage(format!("asset folder {} does not exist", folder.display())));
-        }
-        let mut folders = given.to_vec();
-        if let Some(path) = std::env::var_os(ASSET_PATH_VARIABLE) {
-            folders.extend(
-                std::env::split_paths(&path).filter(|folder| !folder.as_os_str().is_empty()),
-            );
-        }
-        folders.extend(self.host.map(Host::asset_folders).unwrap_or_default());
-        Ok(AssetSearch { folders })
+        asset_search(given, self.host)
     }
+}
+
+/// Where files are looked up: the folders given, then `$AKROBAT_ASSET_PATH`, then what the host
+/// has. (Files beside the file that names them come first of all.)
+///
+/// # Errors
+/// Where a folder that was given does not exist.
+pub fn asset_search(given: &[PathBuf], host: Option<&dyn Host>) -> Result<AssetSearch, Error> {
+    if let Some(folder) = given.iter().find(|folder| !folder.is_dir()) {
+        return Err(Error::Usage(format!("asset folder {} does not exist", folder.display())));
+    }
+    let mut folders = given.to_vec();
+    if let Some(path) = std::env::var_os(ASSET_PATH_VARIABLE) {
+        folders
+            .extend(std::env::split_paths(&path).filter(|folder| !folder.as_os_str().is_empty()));
+    }
+    folders.extend(host.map(Host::asset_folders).unwrap_or_default());
+    Ok(AssetSearch { folders })
 }
 
 /// Runs `work` on this many threads; on one for each core where nothing is said.

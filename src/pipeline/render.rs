@@ -1,12 +1,13 @@
 //! Trajectory file -> replay -> images -> dataset.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use akrobat_cameras::Rig;
 use akrobat_model::events::{Event, Observer};
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::task::Task;
-use akrobat_model::{ModelError, Trajectory, TrajectorySet};
+use akrobat_model::{ModelError, Rejection, Trajectory, TrajectorySet};
 use akrobat_packager::dataset::{Container, DatasetConfig, DatasetWriter, Licence, Status};
 use akrobat_packager::{Attachment, EpisodeInfo, trajectory_file};
 use akrobat_renderer::raster::WgpuBackend;
@@ -17,7 +18,7 @@ use akrobat_renderer::{
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::{Context, folder_of, on_threads};
+use super::{Context, folder_of, on_threads, simulated};
 use crate::Error;
 
 /// Frames that a backend is handed at once, and that are held in memory: 3 cameras of 320 x 240
@@ -55,6 +56,17 @@ pub enum Format {
     Both,
 }
 
+/// Which states of robot and object are rendered.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum States {
+    /// Those of the plan.
+    #[default]
+    Planned,
+    /// What they did in physics, from the audit that `akrobat replay` wrote beside the trajectories.
+    Simulated,
+}
+
 /// What is to be rendered.
 #[derive(Debug, Clone, Default)]
 pub struct RenderRequest {
@@ -78,6 +90,8 @@ pub struct RenderRequest {
     pub episodes: Option<Vec<usize>>,
     /// Render only the manipulation, without approach and grasp.
     pub manipulation_only: bool,
+    /// Whether what was planned is shown, or what the robot did in physics.
+    pub states: States,
     /// Episodes in one HDF5 shard; the packager's default where absent. What is interrupted loses at most
     /// the shard that was being written.
     pub episodes_per_shard: Option<u32>,
@@ -114,13 +128,18 @@ pub struct RenderReport {
 /// Where the trajectories, the rig or the assets are wrong, a device or the disk fails, or the user
 /// asked to stop; whole shards are kept then.
 pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderReport, Error> {
-    let set = trajectory_file::read(&request.trajectories)?;
-    let selected = selection(request, set.trajectories.len())?;
+    let mut set = trajectory_file::read(&request.trajectories)?;
+    let episodes = request.episodes.as_deref();
+    let selected = super::selection(&request.trajectories, episodes, set.trajectories.len())?;
     let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
     let search = context.asset_search(&request.assets)?;
     let task_path = task_path(&request.trajectories, &set);
     let task = load::task_from_text(set.header.task_toml.clone(), &task_path, &search)?;
     check_unchanged(&request.trajectories, &set, &task)?;
+    let unfit = match request.states {
+        States::Planned => BTreeMap::new(),
+        States::Simulated => simulated::replace_paths(&request.trajectories, &mut set)?,
+    };
     let links = task.robot.tree.links().iter().map(|link| link.name.as_str());
     rig.validate_links(links).map_err(|error| Error::Render(error.into()))?;
     let backend = open_backend(request.backend, context)?;
@@ -135,6 +154,7 @@ pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderRe
         task: &task,
         scene: &scene,
         rig: &rig,
+        unfit,
         provenance,
         attachments,
         observer: context.observer,
@@ -148,6 +168,8 @@ struct Job<'a> {
     task: &'a Task,
     scene: &'a RenderScene,
     rig: &'a Rig,
+    /// Why episodes are left out, by position.
+    unfit: BTreeMap<usize, String>,
     provenance: serde_json::Value,
     attachments: Vec<Attachment>,
     observer: &'a dyn Observer,
@@ -186,9 +208,11 @@ impl Job<'_> {
                 report.resumed += 1;
                 continue;
             }
-            if let Some(reason) = trajectory.verdict.as_ref().and_then(|v| v.rejection) {
+            let rejection = trajectory.verdict.as_ref().and_then(|v| v.rejection);
+            let unfit = self.unfit.get(&index).map(String::as_str);
+            if let Some(reason) = rejection.map(Rejection::name).or(unfit) {
                 for writer in writers.iter_mut().filter(|w| !w.contains(&trajectory.id)) {
-                    writer.skip_episode(&trajectory.id, Status::Filtered, reason.name())?;
+                    writer.skip_episode(&trajectory.id, Status::Filtered, reason)?;
                 }
                 report.filtered += 1;
                 continue;
@@ -319,19 +343,6 @@ fn interrupted(output: &Path) -> Error {
     Error::Interrupted(format!("{output} holds only whole shards; --resume continues"))
 }
 
-/// The wanted positions in the trajectory file.
-fn selection(request: &RenderRequest, count: usize) -> Result<Vec<usize>, Error> {
-    let Some(wanted) = &request.episodes else { return Ok((0..count).collect()) };
-    match wanted.iter().find(|&&index| index >= count) {
-        None => Ok(wanted.clone()),
-        Some(index) => Err(Error::Usage(format!(
-            "{}: no episode {index}; valid choices: 0 to {}",
-            request.trajectories.display(),
-            count.saturating_sub(1)
-        ))),
-    }
-}
-
 /// Where the task file stood: the trajectory file carries its text, and its folder relative to itself.
 pub(super) fn task_path(trajectories: &Path, set: &TrajectorySet) -> PathBuf {
     let file = format!("{}.toml", set.header.task_name);
@@ -361,7 +372,10 @@ pub(super) fn check_unchanged(
 }
 
 /// A preset by its name, else a file.
-pub(super) fn load_rig(name: &str) -> Result<Rig, Error> {
+///
+/// # Errors
+/// Where the rig is unknown or wrong.
+pub fn load_rig(name: &str) -> Result<Rig, Error> {
     let is_file = name.ends_with(".toml") || Path::new(name).components().count() > 1;
     let rig = if is_file { Rig::load(Path::new(name)) } else { Rig::preset(name) };
     rig.map_err(|error| Error::Render(error.into()))
@@ -411,6 +425,7 @@ fn provenance(
             "supersampling": request.supersampling,
         },
         "phases": if request.manipulation_only { "manipulate" } else { "all" },
+        "states": request.states,
     })
 }
 

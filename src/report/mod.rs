@@ -5,6 +5,7 @@
 //! same bytes: nothing on the page depends on dates or machines but the times that it is handed.
 
 pub mod animation;
+pub mod audit_page;
 pub mod chart;
 pub mod cloud;
 pub mod drift;
