@@ -13,6 +13,9 @@ pub struct JudgeConfig {
     pub anchor_translation_m: f64,
     /// Largest angle between the tool and its place on the handle while held, radians.
     pub anchor_rotation_rad: f64,
+    /// How much wider than the handle the pads may be apart while they hold it, and must be apart where the
+    /// hand leaves it, metres.
+    pub finger_width_m: f64,
     /// Largest distance of the driven joint from its start at the first waypoint, as a fraction of
     /// the travel from start to goal.
     pub start_tolerance: f64,
@@ -41,6 +44,7 @@ impl Default for JudgeConfig {
         Self {
             anchor_translation_m: 1e-3,
             anchor_rotation_rad: 0.01,
+            finger_width_m: 3e-3,
             start_tolerance: 0.01,
             goal_tolerance: 0.01,
             standstill_tolerance: 1e-4,
@@ -63,6 +67,7 @@ impl JudgeConfig {
         let values = [
             ("anchor_translation_m", self.anchor_translation_m),
             ("anchor_rotation_rad", self.anchor_rotation_rad),
+            ("finger_width_m", self.finger_width_m),
             ("start_tolerance", self.start_tolerance),
             ("goal_tolerance", self.goal_tolerance),
             ("standstill_tolerance", self.standstill_tolerance),

@@ -2,7 +2,7 @@
 
 use akrobat_model::robot::Robot;
 use akrobat_model::task::Task;
-use akrobat_model::trajectory::ContactException;
+use akrobat_model::trajectory::{ContactException, Grasp, Segment};
 use akrobat_model::{Phase, Trajectory, Verdict};
 
 use parry3d_f64::bounding_volume::Aabb;
@@ -12,11 +12,12 @@ use crate::bodies::{Obstacle, link_solids};
 use crate::contacts::{ContactTable, LinkPairs, RobotGroups, contact_table};
 use crate::convex::ConvexPiece;
 use crate::finding::Finding;
+use crate::grip::{Grip, finger_width_m};
 use crate::kinematics::{Frame, Kinematics};
 use crate::meshes::{self, Region};
-use crate::motion::{AnchorFrames, Motion};
+use crate::motion::Motion;
 use crate::object::{self, StartDepths};
-use crate::path::{Configuration, Place, configurations};
+use crate::path::{Configuration, Hold, Place, configurations};
 use crate::spheres::{self, RobotSphere, SpherePair};
 use crate::structure;
 use crate::travel::{self, Travel};
@@ -177,13 +178,13 @@ impl Judge {
     fn examine(&self, trajectory: &Trajectory, verdict: &mut Verdict) -> Result<(), Finding> {
         let robot_columns = self.task.robot.trajectory_joints().len();
         structure::check(trajectory, robot_columns, self.task.object.tree.dof())?;
-        let held_link = self.held_link(trajectory)?;
+        let held_links = self.held_links(trajectory)?;
         let configurations = configurations(trajectory, self.config.configurations_between);
         let mut sceneries: Vec<Scenery> = configurations.iter().map(|c| self.scenery(c)).collect();
         measure_travel(&self.geometry, &mut sceneries);
         verdict.samples = configurations.len() as u32;
 
-        let motion = self.motion(trajectory, held_link, &configurations, &sceneries);
+        let motion = self.motion(trajectory, &held_links, &configurations, &sceneries);
         verdict.anchor_translation_m = motion.anchor_translation_m;
         verdict.anchor_rotation_rad = motion.anchor_rotation_rad;
         verdict.velocity_fraction = motion.velocity_fraction;
@@ -201,24 +202,37 @@ impl Judge {
     fn motion(
         &self,
         trajectory: &Trajectory,
-        held_link: usize,
+        held_links: &[usize],
         configurations: &[Configuration],
         sceneries: &[Scenery],
     ) -> Motion {
         let (task, config) = (&self.task, &self.config);
-        let tool_link = task.robot.tool_link;
+        let segments = trajectory.segments();
+        let grasps: Vec<&Grasp> = segments.iter().map(|segment| segment.grasp).collect();
         let link_from_tool = Frame::from_pose(&task.robot.link_from_tool);
-        let handle_from_grasp = Frame::from_pose(&trajectory.grasp.link_from_tool);
-        let anchored = configurations.iter().zip(sceneries).filter(|(c, _)| c.anchored);
-        let frames = anchored.map(|(configuration, scenery)| {
-            let frames = AnchorFrames {
-                world_from_tool: scenery.robot[tool_link].then(&link_from_tool),
-                world_from_grasp: scenery.object[held_link].then(&handle_from_grasp),
+        let link_from_grasp: Vec<Frame> =
+            grasps.iter().map(|grasp| Frame::from_pose(&grasp.link_from_tool)).collect();
+        let grips = configurations.iter().zip(sceneries).filter_map(|(configuration, scenery)| {
+            let (Hold::Closing(grasp) | Hold::Held(grasp) | Hold::Leaving(grasp)) =
+                configuration.hold
+            else {
+                return None;
             };
-            (configuration.place, frames)
+            let world_from_tool = scenery.robot[task.robot.tool_link].then(&link_from_tool);
+            let grasp_from_tool = |grasp: usize| {
+                let link = scenery.object[held_links[grasp]];
+                link.then(&link_from_grasp[grasp]).inverse().then(&world_from_tool)
+            };
+            Some(Grip {
+                place: configuration.place,
+                hold: configuration.hold,
+                width_m: finger_width_m(&task.robot, &configuration.robot),
+                grasp_from_tool: grasp_from_tool(grasp),
+                next_from_tool: (grasp + 1 < grasps.len()).then(|| grasp_from_tool(grasp + 1)),
+            })
         });
         let mut motion = Motion::default();
-        motion.check_anchor(frames, config);
+        motion.check_grip(grips, &grasps, config);
         motion.check_object(trajectory, task, config);
         motion.check_positions(configurations, &task.robot, &task.object, config);
         motion.check_rates(trajectory, &task.robot, config);
@@ -226,20 +240,19 @@ impl Judge {
         motion
     }
 
-    fn held_link(&self, trajectory: &Trajectory) -> Result<usize, Finding> {
-        let pose = &trajectory.grasp.link_from_tool;
-        let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
-        if !numbers.copied().all(f64::is_finite) {
-            return Err(Finding::new(
-                akrobat_model::Rejection::Malformed,
-                "the grasp pose has a number that is not finite",
-            ));
-        }
-        self.task
-            .object
-            .tree
-            .link_index(&trajectory.grasp.link)
-            .map_err(|error| Finding::new(akrobat_model::Rejection::Malformed, error.to_string()))
+    /// The object link that each grasp holds.
+    fn held_links(&self, trajectory: &Trajectory) -> Result<Vec<usize>, Finding> {
+        let malformed = |detail: String| Finding::new(akrobat_model::Rejection::Malformed, detail);
+        let link = |segment: Segment<'_>| {
+            let pose = &segment.grasp.link_from_tool;
+            let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+            if !numbers.copied().all(f64::is_finite) {
+                return Err(malformed("the grasp pose has a number that is not finite".into()));
+            }
+            let found = self.task.object.tree.link_index(&segment.grasp.link);
+            found.map_err(|error| malformed(error.to_string()))
+        };
+        trajectory.segments().into_iter().map(link).collect()
     }
 
     fn scenery(&self, configuration: &Configuration) -> Scenery {

@@ -2,12 +2,12 @@
 
 use akrobat_model::robot::Robot;
 use akrobat_model::task::{ManipulatedObject, Task};
+use akrobat_model::trajectory::Segment;
 use akrobat_model::{JointKind, JointPath, KinematicTree, Rejection, Trajectory};
 
 use crate::JudgeConfig;
 use crate::finding::{Finding, Worst};
-use crate::kinematics::Frame;
-use crate::path::{Configuration, Place};
+use crate::path::Configuration;
 
 /// Worst values of the checks of this module.
 #[derive(Debug, Default)]
@@ -26,51 +26,9 @@ pub struct Motion {
     pub findings: Vec<Finding>,
 }
 
-/// Frames that the anchor check compares, for one configuration.
-pub struct AnchorFrames {
-    /// Where the robot has the tool.
-    pub world_from_tool: Frame,
-    /// Where the grasp on the handle wants it.
-    pub world_from_grasp: Frame,
-}
-
 impl Motion {
     fn refuse(&mut self, rejection: Rejection, detail: String) {
         self.findings.push(Finding::new(rejection, detail));
-    }
-
-    /// The tool stays where it holds the handle. `frames` belong to the anchored configurations.
-    pub fn check_anchor(
-        &mut self,
-        frames: impl Iterator<Item = (Place, AnchorFrames)>,
-        config: &JudgeConfig,
-    ) {
-        let (mut translation, mut rotation) = (Worst::default(), Worst::default());
-        for (place, frames) in frames {
-            let grasp_from_tool = frames.world_from_grasp.inverse().then(&frames.world_from_tool);
-            translation.see(grasp_from_tool.translation.length(), place);
-            rotation.see(grasp_from_tool.angle(), place);
-        }
-        self.anchor_translation_m = translation.value;
-        self.anchor_rotation_rad = rotation.value;
-        if let Some(place) = translation.above(config.anchor_translation_m) {
-            self.refuse(
-                Rejection::AnchorTranslation,
-                format!(
-                    "{place}: the tool is {:.2} mm away from its place on the handle",
-                    translation.value * 1e3
-                ),
-            );
-        }
-        if let Some(place) = rotation.above(config.anchor_rotation_rad) {
-            self.refuse(
-                Rejection::AnchorRotation,
-                format!(
-                    "{place}: the tool is turned by {:.4} rad from its place on the handle",
-                    rotation.value
-                ),
-            );
-        }
     }
 
     /// The object starts where the task says, reaches a goal of the task, and only its driven joint
@@ -157,22 +115,23 @@ impl Motion {
         }
     }
 
-    /// The base does not turn away too far while it drives the object.
+    /// The base does not turn away too far while it drives the object with one grasp.
     pub fn check_base_yaw(&mut self, trajectory: &Trajectory, robot: &Robot, config: &JudgeConfig) {
         let Some(column) = robot.base_joints.len().checked_sub(1) else { return };
         let yaw = |sample: usize| f64::from(trajectory.dense.robot.row(sample)[column]);
-        let range = trajectory.manipulation_samples();
-        let start = yaw(*range.start());
         let mut worst = Worst::default();
-        for sample in range {
-            worst.see((yaw(sample) - start).abs(), sample);
+        for segment in trajectory.segments() {
+            let start = yaw(*segment.samples.start());
+            for sample in segment.samples {
+                worst.see((yaw(sample) - start).abs(), sample);
+            }
         }
         self.base_yaw_rad = worst.value;
         if let Some(sample) = worst.above(config.base_yaw_rad) {
             self.refuse(
                 Rejection::BaseYaw,
                 format!(
-                    "sample {sample}: the base has turned by {:.3} rad since the first waypoint",
+                    "sample {sample}: the base has turned by {:.3} rad since it took hold",
                     worst.value
                 ),
             );
@@ -216,19 +175,14 @@ fn object_motion(trajectory: &Trajectory, task: &Task, config: &JudgeConfig) -> 
         ));
     }
 
-    let range = trajectory.manipulation_samples();
-    let at_first = trajectory.dense.object.row(*range.start());
-    let at_last = trajectory.dense.object.row(*range.end());
+    let segments = trajectory.segments();
     for sample in 0..trajectory.dense.len() {
+        let rests_at = rest_sample(&segments, sample);
         for (column, &position) in trajectory.dense.object.row(sample).iter().enumerate() {
-            let expected = if column != active {
-                object.start[column]
-            } else if sample < *range.start() {
-                f64::from(at_first[column])
-            } else if sample > *range.end() {
-                f64::from(at_last[column])
-            } else {
-                continue;
+            let expected = match rests_at {
+                _ if column != active => object.start[column],
+                Some(rest) => f64::from(trajectory.dense.object.row(rest)[column]),
+                None => continue,
             };
             let off = (f64::from(position) - expected).abs();
             if off > config.standstill_tolerance {
@@ -240,6 +194,17 @@ fn object_motion(trajectory: &Trajectory, task: &Task, config: &JudgeConfig) -> 
         }
     }
     Ok(())
+}
+
+/// The dense sample at whose position the driven joint rests at `sample`; `None` where it may move. A later
+/// grasp takes over where the one before has left off.
+fn rest_sample(segments: &[Segment<'_>], sample: usize) -> Option<usize> {
+    let left_at = segments.iter().rfind(|s| *s.samples.end() < sample).map(|s| *s.samples.end());
+    match segments.iter().find(|s| s.samples.contains(&sample)) {
+        Some(segment) if *segment.samples.start() == sample => left_at,
+        Some(_) => None,
+        None => left_at.or_else(|| segments.first().map(|s| *s.samples.start())),
+    }
 }
 
 /// Column of a joint that moves by itself.

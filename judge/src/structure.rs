@@ -1,5 +1,6 @@
 //! Is the trajectory whole: shapes, finite values, increasing times, phases, waypoints on the dense path.
 
+use akrobat_model::trajectory::Segment;
 use akrobat_model::{JointPath, Phase, Rejection, Trajectory};
 
 use crate::finding::Finding;
@@ -81,6 +82,7 @@ fn check_waypoints(trajectory: &Trajectory) -> Result<(), Finding> {
             trajectory.substeps
         ));
     }
+    check_segments(trajectory)?;
     let last = *trajectory.manipulation_samples().end();
     if last >= dense.len() {
         return malformed(format!(
@@ -89,8 +91,7 @@ fn check_waypoints(trajectory: &Trajectory) -> Result<(), Finding> {
         ));
     }
     for waypoint in 0..trajectory.waypoints_robot.rows() {
-        let sample =
-            trajectory.manipulation_start as usize + waypoint * trajectory.substeps as usize;
+        let sample = trajectory.waypoint_sample(waypoint);
         for (what, waypoints, path) in [
             ("robot", &trajectory.waypoints_robot, &dense.robot),
             ("object", &trajectory.waypoints_object, &dense.object),
@@ -115,32 +116,45 @@ fn first_difference(
     differences.enumerate().find(|(_, difference)| *difference > SAME_POSITION)
 }
 
-/// The held phase is exactly what lies between the first and the last waypoint.
+/// Grasps follow one another, each with at least two waypoints, and with a motion in between.
+fn check_segments(trajectory: &Trajectory) -> Result<(), Finding> {
+    let segments = trajectory.segments();
+    if let Some(short) = segments.iter().position(|s| s.waypoints.len() < 2) {
+        let detail = format!("grasp {short} has fewer than 2 waypoints");
+        return Err(Finding::new(Rejection::Malformed, detail));
+    }
+    let touching = |pair: &[Segment<'_>]| pair[1].samples.start() <= pair[0].samples.end();
+    if let Some(at) = segments.windows(2).position(touching) {
+        let detail = format!("grasp {} begins before the one before it has ended", at + 1);
+        return Err(Finding::new(Rejection::Malformed, detail));
+    }
+    Ok(())
+}
+
+/// Every phase is where it belongs: the held one between the waypoints of a grasp.
 fn check_phases(trajectory: &Trajectory) -> Result<(), Finding> {
+    let segments = trajectory.segments();
     let range = trajectory.manipulation_samples();
     for (sample, phase) in trajectory.dense.phase.iter().enumerate() {
         // A sample's phase is that of the motion that arrives at it; nothing arrives at the first one.
         if sample == *range.start() {
             continue;
         }
-        let between_waypoints = range.contains(&sample);
-        if phase.holds() != between_waypoints {
+        let held = |s: &Segment<'_>| s.samples.contains(&sample) && *s.samples.start() < sample;
+        let expected: &[Phase] = if segments.iter().any(held) {
+            &[Phase::Manipulate]
+        } else if sample < *range.start() {
+            &[Phase::Approach, Phase::Reach, Phase::Grasp]
+        } else if sample > *range.end() {
+            &[Phase::Release]
+        } else {
+            &[Phase::Regrasp]
+        };
+        if !expected.contains(phase) {
             return Err(Finding::new(
                 Rejection::Malformed,
                 format!(
-                    "sample {sample} has phase {phase:?} but lies {} the waypoints {:?}",
-                    if between_waypoints { "between" } else { "outside" },
-                    range
-                ),
-            ));
-        }
-        let after = [Phase::Release].contains(phase);
-        let before = [Phase::Approach, Phase::Reach, Phase::Grasp].contains(phase);
-        if (after && sample < *range.start()) || (before && sample > *range.end()) {
-            return Err(Finding::new(
-                Rejection::Malformed,
-                format!(
-                    "sample {sample} has phase {phase:?} on the wrong side of the manipulation"
+                    "sample {sample} has phase {phase:?}, expected {expected:?}: the waypoints are samples {range:?}"
                 ),
             ));
         }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
+#[allow(dead_code, reason = "not every test needs all of it")]
 mod common;
 
 use akrobat_judge::{Judge, JudgeConfig, JudgeError, RobotSphere};

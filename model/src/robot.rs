@@ -74,6 +74,21 @@ pub struct BaseSection {
     /// Speed limits of added joints: m/s, m/s, rad/s.
     #[serde(default = "default_base_velocity")]
     pub velocity_limits: [f64; 3],
+    /// What the robot stands on, described in a URDF of its own: a pedestal or a mobile platform.
+    #[serde(default)]
+    pub platform: Option<PlatformSection>,
+}
+
+/// A pedestal or mobile platform that carries the robot and moves with the base.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PlatformSection {
+    /// URDF of the platform, relative to the robot file or on the asset search path.
+    pub urdf: PathBuf,
+    /// Link of the platform that carries the robot.
+    pub link: String,
+    /// Root frame of the robot's URDF in that link: `[x y z qw qx qy qz]`.
+    pub link_from_robot: [f64; 7],
 }
 
 fn default_base_velocity() -> [f64; 3] {

@@ -212,6 +212,9 @@ pub struct GoalSection {
     pub start: f64,
     /// Positions to reach, rad or m; every one is planned for.
     pub positions: Vec<f64>,
+    /// How often the grasp may be changed on the way, at most: for goals that no single grasp reaches.
+    #[serde(default)]
+    pub regrasps: usize,
 }
 
 /// The manipulated object, loaded, scaled and placed.

@@ -1,5 +1,7 @@
 //! Trajectories: 30 waypoints, the dense path between them, and what was found out about them.
 
+use std::ops::{Range, RangeInclusive};
+
 use serde::{Deserialize, Serialize};
 
 use crate::robot::BaseKind;
@@ -109,6 +111,28 @@ pub struct Grasp {
     pub width_m: f64,
 }
 
+/// A change of grasp: the hand lets go, the object rests, and the manipulation goes on with another hold.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Regrasp {
+    /// First waypoint of the new grasp. The object is where the waypoint before has left it.
+    pub first_waypoint: u32,
+    /// Dense sample of that waypoint.
+    pub dense_start: u32,
+    /// The new grasp.
+    pub grasp: Grasp,
+}
+
+/// The part of a manipulation that is done with one grasp.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Segment<'a> {
+    /// The grasp.
+    pub grasp: &'a Grasp,
+    /// Its waypoints.
+    pub waypoints: Range<usize>,
+    /// Dense samples, from its first to its last waypoint.
+    pub samples: RangeInclusive<usize>,
+}
+
 /// The path that is executed, rendered and judged: samples in time, linear in between.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DensePath {
@@ -189,7 +213,7 @@ pub struct Trajectory {
     pub id: String,
     /// The seed of its own random numbers.
     pub seed: u64,
-    /// The grasp.
+    /// The grasp; the first where it changes.
     pub grasp: Grasp,
     /// Position of the active object joint at the first waypoint, rad or m.
     pub start: f64,
@@ -203,8 +227,11 @@ pub struct Trajectory {
     pub waypoint_interval_s: f64,
     /// Dense sample index of waypoint 0.
     pub manipulation_start: u32,
-    /// Dense samples from one waypoint to the next: waypoint k is sample `manipulation_start + k * substeps`.
+    /// Dense samples from one waypoint to the next: waypoint k is sample `manipulation_start + k * substeps`,
+    /// up to the first change of grasp.
     pub substeps: u32,
+    /// Changes of grasp on the way, in order; none where one grasp reaches the goal.
+    pub regrasps: Vec<Regrasp>,
     /// The dense path of all phases.
     pub dense: DensePath,
     /// The judge's findings, once judged.
@@ -212,11 +239,39 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Dense sample range of the manipulation, first to last waypoint.
-    pub fn manipulation_samples(&self) -> std::ops::RangeInclusive<usize> {
-        let first = self.manipulation_start as usize;
-        let intervals = self.waypoints_robot.rows().saturating_sub(1);
-        first..=first + intervals * self.substeps as usize
+    /// Dense sample range of the manipulation, first to last waypoint, changes of grasp included.
+    pub fn manipulation_samples(&self) -> RangeInclusive<usize> {
+        let last = self.segments().pop().map_or(0, |segment| *segment.samples.end());
+        self.manipulation_start as usize..=last
+    }
+
+    /// The manipulation by grasp: one more than there are changes of grasp.
+    pub fn segments(&self) -> Vec<Segment<'_>> {
+        let first = (0, self.manipulation_start, &self.grasp);
+        let later = self.regrasps.iter().map(|r| (r.first_waypoint, r.dense_start, &r.grasp));
+        let starts: Vec<(u32, u32, &Grasp)> = std::iter::once(first).chain(later).collect();
+        let ends = starts[1..].iter().map(|&(waypoint, ..)| waypoint as usize);
+        let ends = ends.chain([self.waypoints_robot.rows()]);
+        let segment = |(&(waypoint, sample, grasp), end): (&(u32, u32, _), usize)| {
+            let (waypoint, sample) = (waypoint as usize, sample as usize);
+            let intervals = end.saturating_sub(waypoint + 1);
+            Segment {
+                grasp,
+                waypoints: waypoint..end,
+                samples: sample..=sample + intervals * self.substeps as usize,
+            }
+        };
+        starts.iter().zip(ends).map(segment).collect()
+    }
+
+    /// Dense sample of waypoint `index`.
+    pub fn waypoint_sample(&self, index: usize) -> usize {
+        let later = self.regrasps.iter().rev();
+        let starts = later.map(|r| (r.first_waypoint as usize, r.dense_start as usize));
+        let mut starts = starts.chain([(0, self.manipulation_start as usize)]);
+        let (waypoint, sample) =
+            starts.find(|&(waypoint, _)| waypoint <= index).unwrap_or_default();
+        sample + (index - waypoint) * self.substeps as usize
     }
 
     /// Times of the frames at `rate_hz`, seconds from the start of the dense path: frame k is at
@@ -288,4 +343,54 @@ pub struct TrajectorySet {
     pub header: TrajectoryHeader,
     /// The trajectories, in an order that does not depend on the number of threads.
     pub trajectories: Vec<Trajectory>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trajectory(regrasps: Vec<Regrasp>) -> Trajectory {
+        Trajectory {
+            id: String::new(),
+            seed: 0,
+            grasp: grasp(0),
+            start: 0.0,
+            goal: 1.0,
+            waypoints_robot: JointPath::from_values(1, vec![0.0; 30]).unwrap(),
+            waypoints_object: JointPath::from_values(1, vec![0.0; 30]).unwrap(),
+            waypoint_interval_s: 0.1,
+            manipulation_start: 7,
+            substeps: 5,
+            regrasps,
+            dense: DensePath::default(),
+            verdict: None,
+        }
+    }
+
+    fn grasp(id: u32) -> Grasp {
+        Grasp { id, link: String::new(), link_from_tool: Pose::identity(), width_m: 0.01 }
+    }
+
+    #[test]
+    fn one_grasp_is_one_segment() {
+        let trajectory = trajectory(Vec::new());
+        assert_eq!(trajectory.manipulation_samples(), 7..=7 + 29 * 5);
+        assert_eq!(trajectory.segments().len(), 1);
+        assert_eq!(trajectory.waypoint_sample(3), 22);
+    }
+
+    #[test]
+    fn segments_meet_at_a_change_of_grasp() {
+        let change = Regrasp { first_waypoint: 12, dense_start: 100, grasp: grasp(4) };
+        let trajectory = trajectory(vec![change]);
+        let segments = trajectory.segments();
+        assert_eq!((segments[0].waypoints.clone(), segments[0].samples.clone()), (0..12, 7..=62));
+        assert_eq!(
+            (segments[1].waypoints.clone(), segments[1].samples.clone()),
+            (12..30, 100..=185)
+        );
+        assert_eq!(segments[1].grasp.id, 4);
+        assert_eq!(trajectory.manipulation_samples(), 7..=185);
+        assert_eq!([11, 12, 29].map(|k| trajectory.waypoint_sample(k)), [62, 100, 185]);
+    }
 }

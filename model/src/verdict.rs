@@ -12,6 +12,8 @@ pub enum Rejection {
     AnchorTranslation,
     /// The grasped handle and the tool moved apart: rotation above tolerance.
     AnchorRotation,
+    /// The fingers are open while they hold, or closed while they leave the object or go to it again.
+    Grip,
     /// The object does not start closed or does not reach its goal, or moves while it is not held.
     ObjectMotion,
     /// A joint position limit is exceeded.
@@ -32,10 +34,11 @@ pub enum Rejection {
 
 impl Rejection {
     /// All reasons, in order of precedence.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Malformed,
         Self::AnchorTranslation,
         Self::AnchorRotation,
+        Self::Grip,
         Self::ObjectMotion,
         Self::PositionLimit,
         Self::VelocityLimit,
@@ -52,6 +55,7 @@ impl Rejection {
             Self::Malformed => "malformed",
             Self::AnchorTranslation => "anchor_translation",
             Self::AnchorRotation => "anchor_rotation",
+            Self::Grip => "grip",
             Self::ObjectMotion => "object_motion",
             Self::PositionLimit => "position_limit",
             Self::VelocityLimit => "velocity_limit",

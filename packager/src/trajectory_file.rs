@@ -10,6 +10,9 @@
 //! | `grasp/width` | `[N]` | f64 | m |
 //! | `waypoints/robot`, `waypoints/object` | `[N, T, columns]` | f32 | rad or m |
 //! | `waypoints/interval` | `[N]` | f64 | s |
+//! | `regrasp/offset` (absent where no grasp changes) | `[N + 1]` | u64 | changes |
+//! | `regrasp/first_waypoint`, `regrasp/dense_start` | `[R]` | u32 | |
+//! | `regrasp/id`, `regrasp/link`, `regrasp/pose`, `regrasp/width` | as in `grasp/`, `[R]` | | |
 //! | `waypoints/dense_start`, `waypoints/dense_substeps` | `[N]` | u32 | samples |
 //! | `dense/offset` | `[N + 1]` | u64 | samples |
 //! | `dense/times` | `[M]` | f64 | s |
@@ -20,14 +23,16 @@
 //! | `verdict/samples` | `[N]` | u32 | |
 //!
 //! Trajectory i owns the dense samples `offset[i] .. offset[i + 1]`; its waypoint k is sample
-//! `offset[i] + dense_start[i] + k * dense_substeps[i]`. What the trajectories share stands in
+//! `offset[i] + dense_start[i] + k * dense_substeps[i]`. Where grasps change, trajectory i owns the changes
+//! `regrasp/offset[i] .. regrasp/offset[i + 1]`; from the first waypoint w of a change on, waypoint k is
+//! sample `offset[i] + regrasp/dense_start + (k - w) * dense_substeps[i]`. What the trajectories share stands in
 //! attributes of the root; structured values are JSON text.
 
 use std::ops::Range;
 use std::path::Path;
 
 use akrobat_model::robot::BaseKind;
-use akrobat_model::trajectory::{DensePath, Grasp, TrajectoryHeader};
+use akrobat_model::trajectory::{DensePath, Grasp, Regrasp, TrajectoryHeader};
 use akrobat_model::{JointPath, Phase, Pose, Rejection, Trajectory, TrajectorySet, Verdict};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
@@ -38,7 +43,10 @@ use crate::h5::{GroupWriter, H5Reader, H5Writer};
 pub const FORMAT: &str = "akrobat.trajectories";
 
 /// Value of the root attribute `format_version`; raised when older readers would misread a file.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
+
+/// Version of files in which no grasp changes: what readers of the first version understand.
+const FORMAT_VERSION_ONE_GRASP: u32 = 1;
 
 /// Writes `set` to `path`. The same set gives the same bytes.
 ///
@@ -50,9 +58,17 @@ pub fn write(path: &Path, set: &TrajectorySet) -> Result<()> {
     let dimensions = Dimensions::of(path, set)?;
     let file = H5Writer::create(path)?;
     let root = file.root();
+    let changes = set.trajectories.iter().any(|t| !t.regrasps.is_empty());
+    root.attr_str("format", FORMAT)?;
+    let version = if changes { FORMAT_VERSION } else { FORMAT_VERSION_ONE_GRASP };
+    root.attr("format_version", version)?;
     write_header(&root, &set.header)?;
     write_identity(&root, &set.trajectories)?;
-    write_grasps(&root.group("grasp")?, &set.trajectories)?;
+    let grasps: Vec<&Grasp> = set.trajectories.iter().map(|t| &t.grasp).collect();
+    write_grasps(&root.group("grasp")?, &grasps)?;
+    if changes {
+        write_regrasps(&root.group("regrasp")?, &set.trajectories)?;
+    }
     write_waypoints(&root.group("waypoints")?, &set.trajectories, &dimensions)?;
     write_dense(&root.group("dense")?, &set.trajectories, &dimensions)?;
     write_verdicts(&root.group("verdict")?, &set.trajectories)?;
@@ -67,6 +83,7 @@ pub fn write(path: &Path, set: &TrajectorySet) -> Result<()> {
 /// expectation and finding.
 pub fn read(path: &Path) -> Result<TrajectorySet> {
     let file = H5Reader::open(path)?;
+    let version = check_version(&file)?;
     let header = read_header(&file)?;
     let columns = Columns { robot: header.robot_joints.len(), object: header.object_joints.len() };
     let (seeds, shape) = file.array::<u64>("seed", &[None])?;
@@ -74,14 +91,20 @@ pub fn read(path: &Path) -> Result<TrajectorySet> {
     let ids = file.strings("id", count)?;
     let starts = file.array::<f64>("start", &[Some(count)])?.0;
     let goals = file.array::<f64>("goal", &[Some(count)])?.0;
-    let grasps = read_grasps(&file, count)?;
+    let grasps = read_grasps(&file, "grasp", count)?;
+    let regrasps = read_regrasps(&file, version, count)?;
     let waypoints = read_waypoints(&file, count, columns)?;
     let dense = read_dense(&file, count, columns)?;
     let verdicts = read_verdicts(&file, count)?;
-    let parts = ids.into_iter().zip(grasps).zip(waypoints).zip(dense).zip(verdicts);
+    let parts = ids
+        .into_iter()
+        .zip(grasps.into_iter().zip(regrasps))
+        .zip(waypoints)
+        .zip(dense)
+        .zip(verdicts);
     let trajectories = parts
         .enumerate()
-        .map(|(i, ((((id, grasp), waypoints), dense), verdict))| Trajectory {
+        .map(|(i, ((((id, (grasp, regrasps)), waypoints), dense), verdict))| Trajectory {
             id,
             seed: seeds[i],
             grasp,
@@ -92,6 +115,7 @@ pub fn read(path: &Path) -> Result<TrajectorySet> {
             waypoint_interval_s: waypoints.interval_s,
             manipulation_start: waypoints.dense_start,
             substeps: waypoints.dense_substeps,
+            regrasps,
             dense,
             verdict,
         })
@@ -168,8 +192,6 @@ fn json<T: serde::Serialize>(value: &T) -> String {
 }
 
 fn write_header(root: &GroupWriter, header: &TrajectoryHeader) -> Result<()> {
-    root.attr_str("format", FORMAT)?;
-    root.attr("format_version", FORMAT_VERSION)?;
     root.attr_str("quat_order", "wxyz")?;
     root.attr_str("length_unit", "m")?;
     root.attr_str("angle_unit", "rad")?;
@@ -200,7 +222,6 @@ pub(crate) fn phase_names() -> String {
 
 fn read_header(file: &H5Reader) -> Result<TrajectoryHeader> {
     let root = file.root();
-    check_format(file, FORMAT, FORMAT_VERSION)?;
     Ok(TrajectoryHeader {
         task_toml: file.attr_str(root, "task_toml")?,
         task_dir: file.attr_str(root, "task_dir")?,
@@ -219,6 +240,15 @@ fn read_header(file: &H5Reader) -> Result<TrajectoryHeader> {
         backend: file.attr_str(root, "backend")?,
         counts: file.attr_json(root, "counts")?,
     })
+}
+
+/// The version of a trajectory file, if this reader knows it.
+fn check_version(file: &H5Reader) -> Result<u32> {
+    let version = file.attr::<u32>(file.root(), "format_version").ok();
+    let one_grasp = version == Some(FORMAT_VERSION_ONE_GRASP);
+    let version = if one_grasp { FORMAT_VERSION_ONE_GRASP } else { FORMAT_VERSION };
+    check_format(file, FORMAT, version)?;
+    Ok(version)
 }
 
 /// Refuses files of another kind and of versions this reader does not know.
@@ -248,17 +278,51 @@ fn each<T>(trajectories: &[Trajectory], value: impl Fn(&Trajectory) -> T) -> Vec
     trajectories.iter().map(value).collect()
 }
 
-fn write_grasps(group: &GroupWriter, trajectories: &[Trajectory]) -> Result<()> {
-    let count = trajectories.len();
-    let poses: Vec<f64> =
-        trajectories.iter().flat_map(|t| pose_row(&t.grasp.link_from_tool)).collect();
-    group.array("id", &[count], &each(trajectories, |t| t.grasp.id))?;
-    group.strings("link", &each(trajectories, |t| t.grasp.link.clone()))?;
+fn write_grasps(group: &GroupWriter, grasps: &[&Grasp]) -> Result<()> {
+    let count = grasps.len();
+    let poses: Vec<f64> = grasps.iter().flat_map(|g| pose_row(&g.link_from_tool)).collect();
+    group.array("id", &[count], &grasps.iter().map(|g| g.id).collect::<Vec<_>>())?;
+    group.strings("link", &grasps.iter().map(|g| &g.link).collect::<Vec<_>>())?;
     let pose = group.array("pose", &[count, 7], &poses)?;
     group.dataset_attr_str(&pose, "frame", "link_from_tool")?;
     group.dataset_attr_str(&pose, "columns", "x y z qw qx qy qz")?;
-    let width = group.array("width", &[count], &each(trajectories, |t| t.grasp.width_m))?;
+    let widths: Vec<f64> = grasps.iter().map(|g| g.width_m).collect();
+    let width = group.array("width", &[count], &widths)?;
     group.dataset_attr_str(&width, "unit", "m")
+}
+
+fn write_regrasps(group: &GroupWriter, trajectories: &[Trajectory]) -> Result<()> {
+    let mut offset = vec![0u64];
+    for trajectory in trajectories {
+        offset.push(offset.last().unwrap_or(&0) + trajectory.regrasps.len() as u64);
+    }
+    let changes: Vec<&Regrasp> = trajectories.iter().flat_map(|t| &t.regrasps).collect();
+    let numbers = |of: fn(&Regrasp) -> u32| changes.iter().map(|r| of(r)).collect::<Vec<_>>();
+    group.array("offset", &[offset.len()], &offset)?;
+    group.array("first_waypoint", &[changes.len()], &numbers(|r| r.first_waypoint))?;
+    group.array("dense_start", &[changes.len()], &numbers(|r| r.dense_start))?;
+    write_grasps(group, &changes.iter().map(|r| &r.grasp).collect::<Vec<_>>())
+}
+
+/// The changes of grasp of each trajectory.
+fn read_regrasps(file: &H5Reader, version: u32, count: usize) -> Result<Vec<Vec<Regrasp>>> {
+    if version == FORMAT_VERSION_ONE_GRASP {
+        return Ok(vec![Vec::new(); count]);
+    }
+    let (offset, _) = file.array::<u64>("regrasp/offset", &[count.checked_add(1)])?;
+    let (first_waypoint, shape) = file.array::<u32>("regrasp/first_waypoint", &[None])?;
+    let dense_start = file.array::<u32>("regrasp/dense_start", &[Some(shape[0])])?.0;
+    let grasps = read_grasps(file, "regrasp", shape[0])?;
+    let ranges = ranges(&offset, shape[0]).ok_or_else(|| {
+        let expected = format!("non-decreasing numbers from 0 to {}", shape[0]);
+        PackError::content(file.path(), "regrasp/offset", expected, "others")
+    })?;
+    let change = |i: usize| Regrasp {
+        first_waypoint: first_waypoint[i],
+        dense_start: dense_start[i],
+        grasp: grasps[i].clone(),
+    };
+    Ok(ranges.into_iter().map(|range| range.map(change).collect()).collect())
 }
 
 /// `[x y z qw qx qy qz]`, with the sign of the quaternion as it is, so that reading gives back the
@@ -278,15 +342,15 @@ fn pose_from_row(row: &[f64]) -> Option<Pose> {
     })
 }
 
-fn read_grasps(file: &H5Reader, count: usize) -> Result<Vec<Grasp>> {
-    let ids = file.array::<u32>("grasp/id", &[Some(count)])?.0;
-    let links = file.strings("grasp/link", count)?;
-    let poses = file.array::<f64>("grasp/pose", &[Some(count), Some(7)])?.0;
-    let widths = file.array::<f64>("grasp/width", &[Some(count)])?.0;
+fn read_grasps(file: &H5Reader, group: &str, count: usize) -> Result<Vec<Grasp>> {
+    let ids = file.array::<u32>(&format!("{group}/id"), &[Some(count)])?.0;
+    let links = file.strings(&format!("{group}/link"), count)?;
+    let poses = file.array::<f64>(&format!("{group}/pose"), &[Some(count), Some(7)])?.0;
+    let widths = file.array::<f64>(&format!("{group}/width"), &[Some(count)])?.0;
     let grasp = |(index, link): (usize, String)| {
         let row = &poses[index * 7..][..7];
         let link_from_tool = pose_from_row(row).ok_or_else(|| {
-            let item = format!("grasp/pose row {index}");
+            let item = format!("{group}/pose row {index}");
             PackError::content(
                 file.path(),
                 item,

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use akrobat_model::robot::BaseKind;
-use akrobat_model::trajectory::{ContactException, DensePath, Grasp, TrajectoryHeader};
+use akrobat_model::trajectory::{ContactException, DensePath, Grasp, Regrasp, TrajectoryHeader};
 use akrobat_model::{JointPath, Phase, Pose, Rejection, Trajectory, TrajectorySet, Verdict, pose};
 use akrobat_packager::{PackError, trajectory_file};
 use proptest::prelude::*;
@@ -87,12 +87,16 @@ fn trajectory(waypoints: usize, robot: usize, object: usize) -> impl Strategy<Va
     let grasp = (any::<u32>(), "[a-z ]{0,12}", pose, 0.0..0.1f64).prop_map(
         |(id, link, link_from_tool, width_m)| Grasp { id, link, link_from_tool, width_m },
     );
+    let regrasp = (any::<u32>(), any::<u32>(), grasp.clone()).prop_map(
+        |(first_waypoint, dense_start, grasp)| Regrasp { first_waypoint, dense_start, grasp },
+    );
+    let grasps = (grasp, prop::collection::vec(regrasp, 0..3));
     let tables =
         (joint_path(waypoints, robot), joint_path(waypoints, object), dense(robot, object));
     let numbers =
         (any::<u64>(), -3.0..3.0f64, -3.0..3.0f64, 0.01..1.0f64, any::<u32>(), any::<u32>());
-    ("[0-9a-f]{8}", grasp, tables, numbers, verdict()).prop_map(
-        |(id, grasp, (waypoints_robot, waypoints_object, dense), numbers, verdict)| {
+    ("[0-9a-f]{8}", grasps, tables, numbers, verdict()).prop_map(
+        |(id, (grasp, regrasps), (waypoints_robot, waypoints_object, dense), numbers, verdict)| {
             let (seed, start, goal, waypoint_interval_s, manipulation_start, substeps) = numbers;
             Trajectory {
                 id,
@@ -105,6 +109,7 @@ fn trajectory(waypoints: usize, robot: usize, object: usize) -> impl Strategy<Va
                 waypoint_interval_s,
                 manipulation_start,
                 substeps,
+                regrasps,
                 dense,
                 verdict,
             }
@@ -152,6 +157,7 @@ fn example() -> TrajectorySet {
             waypoint_interval_s: 0.13,
             manipulation_start: 0,
             substeps: 10,
+            regrasps: Vec::new(),
             dense: DensePath {
                 times_s: (0..samples).map(|i| i as f64 * 0.01).collect(),
                 robot: path(samples, 11),

@@ -42,15 +42,29 @@ pub struct ApproachPlanner<'a> {
     pub outward: Vector3<f64>,
 }
 
+/// Timed samples of a motion: time steps, seconds, and configurations.
+pub type Timed = Vec<(f64, Vec<f64>)>;
+
 /// Timed samples of both phases, without the first (home) and including the grasp.
 #[derive(Debug, Clone)]
 pub struct Approach {
     /// Where it starts.
     pub home: Vec<f64>,
     /// Free-space samples and their time steps, seconds.
-    pub free: Vec<(f64, Vec<f64>)>,
+    pub free: Timed,
     /// Reach samples and their time steps, seconds.
-    pub reach: Vec<(f64, Vec<f64>)>,
+    pub reach: Timed,
+}
+
+/// The way of the open hand from one grasp to another: each part without its first sample.
+#[derive(Debug, Clone)]
+pub struct Transfer {
+    /// Straight back from the old grasp.
+    pub retreat: Timed,
+    /// Through free space.
+    pub free: Timed,
+    /// Straight to the new grasp.
+    pub reach: Timed,
 }
 
 /// Why there is no approach.
@@ -82,13 +96,43 @@ impl ApproachPlanner<'_> {
     /// The step that failed.
     pub fn plan(&self, grasp: &[f64], seed: u64) -> Result<Approach, Failure> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let limits =
-            Limits::of(self.robot, &[&self.robot.base_joints[..], &self.robot.arm_joints].concat());
         let reach = self.reach(grasp).ok_or(Failure::Reach)?;
-        let pregrasp = reach[0].clone();
         let home = self.home(grasp, &mut rng).ok_or(Failure::Home)?;
-        let corners = self.free_path(&home, &pregrasp, seed).ok_or(Failure::Path)?;
+        let corners = self.free_path(&home, &reach[0], seed).ok_or(Failure::Path)?;
+        let free = self.timed_corners(&corners);
+        Ok(Approach { home, free, reach: self.timed(&reach) })
+    }
 
+    /// Plans from a hold at `from` to one at `to` (base and arm), the object at rest.
+    ///
+    /// # Errors
+    /// The step that failed.
+    pub fn transfer(&self, from: &[f64], to: &[f64], seed: u64) -> Result<Transfer, Failure> {
+        let mut retreat = self.reach(from).ok_or(Failure::Reach)?;
+        let reach = self.reach(to).ok_or(Failure::Reach)?;
+        let corners = self.free_path(&retreat[0], &reach[0], seed).ok_or(Failure::Path)?;
+        retreat.reverse();
+        Ok(Transfer {
+            retreat: self.timed(&retreat),
+            free: self.timed_corners(&corners),
+            reach: self.timed(&reach),
+        })
+    }
+
+    fn limits(&self) -> Limits {
+        Limits::of(self.robot, &[&self.robot.base_joints[..], &self.robot.arm_joints].concat())
+    }
+
+    /// Moves along a spline through `knots`.
+    fn timed(&self, knots: &[Vec<f64>]) -> Timed {
+        let clamp = |x: &mut [f64]| self.kinematics.clamp(x);
+        let (samples, dt) = timed_spline(knots, &self.limits(), STEP_S, clamp);
+        samples.into_iter().map(|x| (dt, x)).collect()
+    }
+
+    /// Moves from corner to corner, at rest in each.
+    fn timed_corners(&self, corners: &[Vec<f64>]) -> Timed {
+        let limits = self.limits();
         let mut free = Vec::new();
         for pair in corners.windows(2) {
             let delta: Vec<f64> = pair[1].iter().zip(&pair[0]).map(|(b, a)| b - a).collect();
@@ -100,8 +144,7 @@ impl ApproachPlanner<'_> {
                 free.push((duration / count as f64 * 1.02, x));
             }
         }
-        let (samples, dt) = timed_spline(&reach, &limits, STEP_S, |x| self.kinematics.clamp(x));
-        Ok(Approach { home, free, reach: samples.into_iter().map(|x| (dt, x)).collect() })
+        free
     }
 
     /// Configurations from the pre-grasp pose to the grasp, the base at rest.

@@ -2,6 +2,7 @@
 
 mod pairing;
 mod reach;
+mod regrasp;
 mod timeline;
 
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ use akrobat_model::trajectory::{ContactException, Grasp, Trajectory, TrajectoryS
 use akrobat_model::{ModelError, Verdict, hash};
 use rayon::prelude::*;
 
-use crate::approach::{Approach, ApproachPlanner};
+use crate::approach::{self, Approach, ApproachPlanner, Transfer};
 use crate::closure::Closure;
 use crate::collision::{self, LinkPairs, MovingCheck, RobotBody};
 use crate::config::PlannerConfig;
@@ -25,6 +26,8 @@ use crate::kinematics::Kinematics;
 use crate::spheres::{self, SphereModel};
 use crate::trajopt::{Problem, Waypoints};
 use crate::world::{World, handle_center, is_handle_part, outward};
+use regrasp::Chain;
+use timeline::Leg;
 
 /// Pairs optimised between two looks at the limit: constant, so that results do not depend on threads.
 const BATCH: usize = 32;
@@ -142,8 +145,22 @@ pub fn plan(
     let holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
     let pairs = run.stage("pairing", |run| run.pairs(world, &holds));
     run.count("pairs", pairs.len());
-    let (trajectories, notes) =
-        run.stage("trajectory optimisation", |run| run.optimise(world, &holds, &pairs, judge))?;
+    let (mut trajectories, mut notes) = (Vec::new(), Vec::new());
+    let mut found = Found { trajectories: &mut trajectories, notes: &mut notes };
+    let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
+        run.connect(world, &holds, pair, judge, steps)
+    };
+    let limit = config.limit - run.reserved(&pairs);
+    run.collect("trajectory optimisation", &pairs, limit, &mut found, &connect)?;
+    let missing = run.missing_goals(found.trajectories);
+    if task.file.goal.regrasps > 0 && !missing.is_empty() && found.trajectories.len() < config.limit
+    {
+        let chains = run.stage("changes of grasp", |run| run.chains(world, &holds, &missing))?;
+        let connect = |run: &Run<'_>, chain: &Chain, steps: &mut StepClock| {
+            run.connect_chain(world, &holds, chain, judge, steps)
+        };
+        run.collect("re-grasped trajectories", &chains, config.limit, &mut found, &connect)?;
+    }
     run.count("accepted", trajectories.len());
     let header = run.header();
     Ok(PlanOutcome {
@@ -208,6 +225,16 @@ impl StepClock {
     }
 }
 
+/// What a run has found so far.
+struct Found<'a> {
+    trajectories: &'a mut Vec<Trajectory>,
+    /// Details of the first rejections.
+    notes: &'a mut Vec<String>,
+}
+
+/// Plans one of several things of a kind.
+type Connect<'a, T> = dyn Fn(&Run<'_>, &T, &mut StepClock) -> Outcome + Sync + 'a;
+
 /// What became of a pair.
 enum Outcome {
     Failed(&'static str, String),
@@ -233,29 +260,58 @@ impl Run<'_> {
         self.task.robot.base_joints.len()
     }
 
-    fn optimise(
+    /// How many of the trajectories wanted are kept for goals that no pair reaches.
+    fn reserved(&self, pairs: &[Pair]) -> usize {
+        let goal = &self.task.file.goal;
+        if goal.regrasps == 0 {
+            return 0;
+        }
+        let goals = goal.positions.len();
+        let hopeless = (0..goals).filter(|g| pairs.iter().all(|p| p.goal_index != *g)).count();
+        self.config.limit * hopeless / goals
+    }
+
+    /// Goals that no trajectory reaches.
+    fn missing_goals(&self, trajectories: &[Trajectory]) -> Vec<usize> {
+        let reached = |goal: f64| trajectories.iter().any(|t| t.goal == goal);
+        let goals = self.task.file.goal.positions.iter().enumerate();
+        goals.filter(|&(_, &goal)| !reached(goal)).map(|(index, _)| index).collect()
+    }
+
+    /// Connects `items` until `limit` trajectories are accepted.
+    fn collect<T: Sync>(
         &mut self,
-        world: &World,
-        holds: &[Hold],
-        pairs: &[Pair],
-        judge: &JudgeFn<'_>,
-    ) -> Result<(Vec<Trajectory>, Vec<String>), PlanError> {
-        let stage = "trajectory optimisation";
-        let total = Some(self.config.limit as u64);
-        self.observer.event(&Event::StageStarted { stage, total });
-        let (mut accepted, mut notes) = (Vec::new(), Vec::new());
-        for batch in pairs.chunks(BATCH) {
+        stage: &str,
+        items: &[T],
+        limit: usize,
+        found: &mut Found<'_>,
+        connect: &Connect<'_, T>,
+    ) -> Result<(), PlanError> {
+        self.stage(stage, |run| run.collect_in_batches(stage, items, limit, found, connect))
+    }
+
+    fn collect_in_batches<T: Sync>(
+        &mut self,
+        stage: &str,
+        items: &[T],
+        limit: usize,
+        found: &mut Found<'_>,
+        connect: &Connect<'_, T>,
+    ) -> Result<(), PlanError> {
+        self.observer.event(&Event::StageStarted { stage, total: Some(limit as u64) });
+        let Found { trajectories: accepted, notes } = found;
+        for batch in items.chunks(BATCH) {
             if self.observer.cancelled() {
                 return Err(PlanError::Cancelled);
             }
-            if accepted.len() >= self.config.limit {
+            if accepted.len() >= limit {
                 break;
             }
-            let connect = |pair| {
+            let clocked = |item: &T| {
                 let mut steps = StepClock::start();
-                (self.connect(world, holds, pair, judge, &mut steps), steps)
+                (connect(self, item, &mut steps), steps)
             };
-            let outcomes: Vec<(Outcome, StepClock)> = batch.par_iter().map(connect).collect();
+            let outcomes: Vec<(Outcome, StepClock)> = batch.par_iter().map(clocked).collect();
             for (outcome, steps) in outcomes {
                 self.count("pairs/tried", 1);
                 for (step, seconds) in steps.laps {
@@ -275,7 +331,7 @@ impl Run<'_> {
                                 notes.push(format!("{}: {}", reason.name(), verdict.detail));
                             }
                         }
-                        None if accepted.len() < self.config.limit => {
+                        None if accepted.len() < limit => {
                             trajectory.verdict = Some(verdict);
                             accepted.push(*trajectory);
                         }
@@ -285,7 +341,7 @@ impl Run<'_> {
             }
             self.observer.event(&Event::Progress { stage, done: accepted.len() as u64 });
         }
-        Ok((accepted, notes))
+        Ok(())
     }
 
     /// Optimises one pair and has the result judged.
@@ -298,29 +354,48 @@ impl Run<'_> {
         steps: &mut StepClock,
     ) -> Outcome {
         let hold = &holds[pair.hold];
-        let problem = self.problem(world, hold);
         let start = &hold.starts[pair.start];
-        let fail = |reason| Outcome::Failed(reason, String::new());
         let approach = match self.config.approach {
             false => None,
             true => {
-                let plan = || self.approach(world, hold, pair);
-                let planned = hold.approaches[pair.start].get_or_init(plan);
+                let planned = self.approach_to(world, hold, pair.hold, pair.start);
                 steps.lap("approach");
                 match planned {
                     Ok(approach) => Some(approach),
-                    Err(reason) => return fail(reason),
+                    Err(reason) => return Outcome::Failed(reason, String::new()),
                 }
             }
         };
-        let Some(mut waypoints) = problem.straight(start, &pair.goal) else {
-            return fail("projection");
+        let leg = match self.leg(world, hold, self.config, start, &pair.goal, steps) {
+            Ok(leg) => leg,
+            Err((reason, detail)) => return Outcome::Failed(reason, detail),
         };
+        let number = self.pair_number(pair);
+        let seed = stage_seed(self.task, "pair", number);
+        let goal = self.task.file.goal.positions[pair.goal_index];
+        let trajectory = self.trajectory(&number.to_string(), seed, goal, vec![leg], approach);
+        let verdict = judge(&trajectory);
+        steps.lap("judge");
+        Outcome::Judged(Box::new(trajectory), verdict)
+    }
+
+    /// Optimises what one grasp does between two configurations: the reason and its details where it fails.
+    fn leg<'h>(
+        &self,
+        world: &World,
+        hold: &'h Hold,
+        config: &PlannerConfig,
+        start: &[f64],
+        goal: &[f64],
+        steps: &mut StepClock,
+    ) -> Result<Leg<'h>, (&'static str, String)> {
+        let fail = |reason| (reason, String::new());
+        let problem = self.problem(world, hold, config);
+        let mut waypoints = problem.straight(start, goal).ok_or(fail("projection"))?;
         problem.optimise(&mut waypoints);
         steps.lap("optimise");
-        let Some(samples) = dense::densify(&problem, &waypoints, self.config.substeps) else {
-            return fail("dense_path");
-        };
+        let samples =
+            dense::densify(&problem, &waypoints, config.substeps).ok_or(fail("dense_path"))?;
         let colliding = self.first_collision(&problem, &samples);
         steps.lap("densify and check");
         if let Some((step, clearance)) = colliding {
@@ -336,19 +411,15 @@ impl Run<'_> {
                 link(clearance.link),
                 1e3 * clearance.distance_m
             );
-            return Outcome::Failed("collision", detail);
+            return Err(("collision", detail));
         }
         if self.base() == 3 {
             let yaw = samples.iter().map(|x| (x[2] - samples[0][2]).abs()).fold(0.0, f64::max);
             if yaw > self.config.max_base_yaw_rad {
-                return fail("base_yaw");
+                return Err(fail("base_yaw"));
             }
         }
-        let seed = stage_seed(self.task, "pair", self.pair_number(pair));
-        let trajectory = self.trajectory(hold, pair, seed, &waypoints, &samples, approach);
-        let verdict = judge(&trajectory);
-        steps.lap("judge");
-        Outcome::Judged(Box::new(trajectory), verdict)
+        Ok(Leg { grasp: &hold.grasp, transfer: None, waypoints, samples })
     }
 
     fn first_collision(
@@ -366,9 +437,43 @@ impl Run<'_> {
         })
     }
 
-    fn approach(&self, world: &World, hold: &Hold, pair: &Pair) -> Result<Approach, &'static str> {
-        let first = &hold.starts[pair.start];
-        let seed = stage_seed(self.task, "approach", (pair.hold << 16 | pair.start) as u64);
+    /// The approach to a start, planned when it is first asked for.
+    fn approach_to<'h>(
+        &self,
+        world: &World,
+        hold: &'h Hold,
+        hold_index: usize,
+        start: usize,
+    ) -> Result<&'h Approach, &'static str> {
+        let plan = || {
+            let x = &hold.starts[start];
+            let seed = stage_seed(self.task, "approach", (hold_index << 16 | start) as u64);
+            let (grasp, object_q) = x.split_at(x.len() - 1);
+            self.with_open_hand(world, object_q[0], |planner| planner.plan(grasp, seed))
+        };
+        hold.approaches[start].get_or_init(plan).as_ref().map_err(|reason| *reason)
+    }
+
+    /// The way of the open hand from one hold (base, arm, object's joint) to another.
+    fn transfer(
+        &self,
+        world: &World,
+        from: &[f64],
+        to: &[f64],
+        seed: u64,
+    ) -> Result<Transfer, &'static str> {
+        let (to, object_q) = to.split_at(to.len() - 1);
+        let from = &from[..to.len()];
+        self.with_open_hand(world, object_q[0], |planner| planner.transfer(from, to, seed))
+    }
+
+    /// Plans free motion with open fingers and the object's joint at `object_q`.
+    fn with_open_hand<T>(
+        &self,
+        world: &World,
+        object_q: f64,
+        plan: impl FnOnce(&ApproachPlanner<'_>) -> Result<T, approach::Failure>,
+    ) -> Result<T, &'static str> {
         let robot = &self.task.robot;
         let variables = [&robot.base_joints[..], &robot.arm_joints].concat();
         let kinematics =
@@ -388,10 +493,10 @@ impl Run<'_> {
             tool: &tool,
             world,
             config: self.config,
-            object_q: hold.starts[0][hold.kinematics.dof() - 1],
+            object_q,
             outward: outward(&self.task.object, &handle),
         };
-        planner.plan(&first[..first.len() - 1], seed).map_err(|f| f.name())
+        plan(&planner).map_err(|f| f.name())
     }
 }
 

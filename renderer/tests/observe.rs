@@ -148,6 +148,7 @@ fn pulled_drawer(task: &akrobat_model::task::Task, robot: &[f64]) -> Trajectory 
         waypoint_interval_s: 1.0,
         manipulation_start: 0,
         substeps: 1,
+        regrasps: Vec::new(),
         dense,
         verdict: None,
     }

@@ -28,28 +28,33 @@ pub struct Drift {
 /// Where the object has no link of the grasp's name.
 pub fn anchor_drift(task: &Task, trajectory: &Trajectory) -> Result<Vec<Drift>, Error> {
     let (robot, object) = (&task.robot, &task.object);
-    let held = object.tree.link_index(&trajectory.grasp.link)?;
     let times = &trajectory.dense.times_s;
     let (first, last) = trajectory.manipulation_samples().into_inner();
-    let steps = (first * SUBSTEPS..=last * SUBSTEPS).map(|step| {
-        let (sample, part) = (step / SUBSTEPS, (step % SUBSTEPS) as f64 / SUBSTEPS as f64);
-        times[sample] + (times[(sample + 1).min(last)] - times[sample]) * part
-    });
     let duration_s = (times[last] - times[first]).max(f64::MIN_POSITIVE);
-    let drift = |time_s: f64| {
-        let state = trajectory.dense.sample(time_s);
-        let q = robot.configuration(&state.robot);
-        let world_from_tool = robot.tree.link_poses(&robot.world_from_root, &q)[robot.tool_link]
-            * robot.link_from_tool;
-        let world_from_grasp = object.tree.link_poses(&object.world_from_root, &state.object)[held]
-            * trajectory.grasp.link_from_tool;
-        let grasp_from_tool = world_from_grasp.inv_mul(&world_from_tool);
-        Drift {
-            time_s,
-            progress: (time_s - times[first]) / duration_s,
-            translation_m: grasp_from_tool.translation.vector.norm(),
-            rotation_rad: grasp_from_tool.rotation.angle(),
+    let mut drifts = Vec::new();
+    for segment in trajectory.segments() {
+        let held = object.tree.link_index(&segment.grasp.link)?;
+        let (first_held, last_held) = segment.samples.into_inner();
+        for step in first_held * SUBSTEPS..=last_held * SUBSTEPS {
+            let (sample, part) = (step / SUBSTEPS, (step % SUBSTEPS) as f64 / SUBSTEPS as f64);
+            let next = times[(sample + 1).min(last_held)];
+            let time_s = times[sample] + (next - times[sample]) * part;
+            let state = trajectory.dense.sample(time_s);
+            let q = robot.configuration(&state.robot);
+            let world_from_tool = robot.tree.link_poses(&robot.world_from_root, &q)
+                [robot.tool_link]
+                * robot.link_from_tool;
+            let world_from_grasp = object.tree.link_poses(&object.world_from_root, &state.object)
+                [held]
+                * segment.grasp.link_from_tool;
+            let grasp_from_tool = world_from_grasp.inv_mul(&world_from_tool);
+            drifts.push(Drift {
+                time_s,
+                progress: (time_s - times[first]) / duration_s,
+                translation_m: grasp_from_tool.translation.vector.norm(),
+                rotation_rad: grasp_from_tool.rotation.angle(),
+            });
         }
-    };
-    Ok(steps.map(drift).collect())
+    }
+    Ok(drifts)
 }

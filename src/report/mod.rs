@@ -200,6 +200,7 @@ mod tests {
             waypoint_interval_s: 0.02,
             manipulation_start: 0,
             substeps: 1,
+            regrasps: Vec::new(),
             dense,
             verdict: None,
         };

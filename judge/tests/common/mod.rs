@@ -24,10 +24,13 @@ pub const HANDLE_WIDTH_M: f64 = 0.02;
 pub const X: usize = 0;
 /// Column of the lifting joint.
 pub const LIFT: usize = 3;
-const OPEN: f64 = 0.04;
-const SUBSTEPS: u32 = 5;
+/// Position of an open finger, metres.
+pub const OPEN: f64 = 0.04;
+/// Dense samples from one waypoint to the next.
+pub const SUBSTEPS: u32 = 5;
 const WAYPOINTS: u32 = 30;
-const WAYPOINT_INTERVAL_S: f64 = 119.0 / 30.0 / 29.0;
+/// Time from one waypoint to the next, seconds.
+pub const WAYPOINT_INTERVAL_S: f64 = 119.0 / 30.0 / 29.0;
 
 /// A box-shaped part.
 pub fn block(name: &str, size: [f64; 3], center: [f64; 3]) -> Part {
@@ -229,7 +232,8 @@ pub fn exceptions() -> Vec<ContactException> {
         .to_vec()
 }
 
-fn grasp() -> Grasp {
+/// The grasp of the handle's middle.
+pub fn grasp() -> Grasp {
     Grasp {
         id: 0,
         link: "door".into(),
@@ -239,12 +243,12 @@ fn grasp() -> Grasp {
 }
 
 /// Position along a motion that starts and ends at rest: 10 s^3 - 15 s^4 + 6 s^5.
-fn minimum_jerk(s: f64) -> f64 {
+pub fn minimum_jerk(s: f64) -> f64 {
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
 }
 
 /// The base pose (x, y, yaw) that has the tool on the handle of a door opened by `angle`.
-fn base_at(angle: f64) -> [f64; 3] {
+pub fn base_at(angle: f64) -> [f64; 3] {
     // The handle in the hinge's frame, turned by -angle about the hinge at (0, 0.3).
     let (sin, cos) = angle.sin_cos();
     let handle = [-0.06 * cos - 0.5 * sin, 0.06 * sin - 0.5 * cos + 0.3];
@@ -295,6 +299,7 @@ pub fn trajectory_with(goal: f64, reached: f64, finger: f64) -> Trajectory {
         waypoint_interval_s: WAYPOINT_INTERVAL_S,
         manipulation_start,
         substeps: SUBSTEPS,
+        regrasps: Vec::new(),
         dense,
         verdict: None,
     }

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use super::{AssetSearch, check_position, joint_index, link_index, parse_toml, place};
 use crate::mesh_io::MeshCache;
 use crate::pose::from_xyz_wxyz;
-use crate::robot::{AttachSection, BaseKind};
+use crate::robot::BaseKind;
 use crate::{
     Joint, JointKind, KinematicTree, Link, ModelError, Pose, Robot, RobotFile, hash, urdf,
 };
@@ -24,6 +24,7 @@ pub struct LoadedRobot {
     text: String,
     mesh_files: BTreeMap<String, PathBuf>,
     gripper_urdf: Option<PathBuf>,
+    platform_urdf: Option<PathBuf>,
 }
 
 impl LoadedRobot {
@@ -32,9 +33,11 @@ impl LoadedRobot {
         hashes.insert("robot".into(), hash::of_bytes(self.text.as_bytes()));
         hashes.insert("robot.urdf".into(), hash::of_file(&self.robot.urdf_path)?);
         hashes.insert("robot.meshes".into(), super::hashes::of_files(&self.mesh_files)?);
-        for (name, file) in
-            [("robot.gripper", &self.gripper_urdf), ("robot.spheres", &self.robot.spheres_path)]
-        {
+        for (name, file) in [
+            ("robot.gripper", &self.gripper_urdf),
+            ("robot.platform", &self.platform_urdf),
+            ("robot.spheres", &self.robot.spheres_path),
+        ] {
             if let Some(file) = file {
                 hashes.insert(name.into(), hash::of_file(file)?);
             }
@@ -57,7 +60,21 @@ pub fn load(path: &Path, search: &AssetSearch) -> Result<LoadedRobot, ModelError
             let gripper = urdf::load(&gripper_urdf, search, &mut cache)?;
             notes.extend(gripper.notes);
             mesh_files.extend(gripper.mesh_files);
-            (attached(path, tree, section, gripper.tree)?, Some(gripper_urdf))
+            let at = ["gripper.attach", "link_from_gripper"];
+            let mount = (&*section.link, section.link_from_gripper);
+            (attached(path, at, tree, mount, gripper.tree)?, Some(gripper_urdf))
+        }
+    };
+    let (tree, platform_urdf) = match &file.base.platform {
+        None => (tree, None),
+        Some(section) => {
+            let platform_urdf = search.find(&section.urdf, path)?;
+            let platform = urdf::load(&platform_urdf, search, &mut cache)?;
+            notes.extend(platform.notes);
+            mesh_files.extend(platform.mesh_files);
+            let at = ["base.platform", "link_from_robot"];
+            let mount = (&*section.link, section.link_from_robot);
+            (attached(path, at, platform.tree, mount, tree)?, Some(platform_urdf))
         }
     };
     let adds_base = file.base.kind == BaseKind::Holonomic && file.base.joints.is_none();
@@ -98,26 +115,24 @@ pub fn load(path: &Path, search: &AssetSearch) -> Result<LoadedRobot, ModelError
         tree,
         file,
     };
-    Ok(LoadedRobot { robot, text, mesh_files, gripper_urdf })
+    Ok(LoadedRobot { robot, text, mesh_files, gripper_urdf, platform_urdf })
 }
 
-/// The robot's tree with the gripper bolted on.
+/// `tree` with `other` bolted on a link of it at a pose. `section` and `key` name both in errors.
 fn attached(
     path: &Path,
+    [section, key]: [&str; 2],
     tree: KinematicTree,
-    section: &AttachSection,
-    gripper: KinematicTree,
+    (link, pose): (&str, [f64; 7]),
+    other: KinematicTree,
 ) -> Result<KinematicTree, ModelError> {
-    let place = place(path, "gripper.attach");
-    let link = link_index(&place, &tree, &section.link)?;
-    let link_from_gripper = from_xyz_wxyz(section.link_from_gripper).ok_or_else(|| {
-        let message = format!(
-            "link_from_gripper: expected [x y z qw qx qy qz], got {:?}",
-            section.link_from_gripper
-        );
+    let place = place(path, section);
+    let link = link_index(&place, &tree, link)?;
+    let link_from_other = from_xyz_wxyz(pose).ok_or_else(|| {
+        let message = format!("{key}: expected [x y z qw qx qy qz], got {pose:?}");
         ModelError::bad_value(place.clone(), message)
     })?;
-    tree.attach(link, link_from_gripper, gripper).map_err(|e| match e {
+    tree.attach(link, link_from_other, other).map_err(|e| match e {
         ModelError::BadValue { context, message } => {
             ModelError::bad_value(place, format!("{context}: {message}"))
         }

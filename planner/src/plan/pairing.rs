@@ -3,18 +3,24 @@
 use rayon::prelude::*;
 
 use super::{Hold, Pair, Run};
+use crate::config::PlannerConfig;
 use crate::trajopt::Problem;
 use crate::world::World;
 
 impl Run<'_> {
-    pub(super) fn problem<'b>(&'b self, world: &'b World, hold: &'b Hold) -> Problem<'b> {
+    pub(super) fn problem<'b>(
+        &self,
+        world: &'b World,
+        hold: &'b Hold,
+        config: &'b PlannerConfig,
+    ) -> Problem<'b> {
         let dof = hold.kinematics.dof();
         Problem {
             kinematics: &hold.kinematics,
             closure: &hold.closure,
             body: &hold.body,
             world,
-            config: self.config,
+            config,
             velocity_weights: Problem::weights(self.config.velocity_weights, self.base(), dof),
             acceleration_weights: Problem::weights(
                 self.config.acceleration_weights,
@@ -33,7 +39,7 @@ impl Run<'_> {
             .par_iter()
             .enumerate()
             .flat_map_iter(|(hold_index, hold)| {
-                let problem = self.problem(world, hold);
+                let problem = self.problem(world, hold, self.config);
                 let mut own = Vec::new();
                 for (start_index, start) in hold.starts.iter().enumerate() {
                     for (goal_index, goals) in hold.goals.iter().enumerate() {

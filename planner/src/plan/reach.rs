@@ -51,28 +51,65 @@ impl Run<'_> {
                 chosen.push(Grasp { id: chosen.len() as u32, ..grasp });
             }
         }
+        if task.file.goal.regrasps > 0 {
+            self.add_partial_grasps(world, &mut chosen)?;
+        }
         self.count("grasps/used", chosen.len());
         Ok(chosen)
     }
 
+    /// Grasps for a part of the way: those that are within reach at the start, and those that fit and are
+    /// within reach at a goal.
+    fn add_partial_grasps(
+        &mut self,
+        world: &World,
+        chosen: &mut Vec<Grasp>,
+    ) -> Result<(), PlanError> {
+        let goal = &self.task.file.goal;
+        for (index, q) in std::iter::once(goal.start).chain(goal.positions.clone()).enumerate() {
+            let mut task = self.task.clone();
+            task.object.start = task.object.configuration(q);
+            let wanted = chosen.len() + task.file.grasps.count;
+            let seed = stage_seed(&task, "partial grasps", index as u64);
+            let most = task.file.grasps.count * SCREENED_PER_GRASP;
+            let (fitting, tried) = grasp::grasps(&task, &self.preparation.spheres, seed, most);
+            self.count("grasps/candidates", tried);
+            self.count("grasps/fitting", fitting.len());
+            for grasp in fitting {
+                if self.observer.cancelled() {
+                    return Err(PlanError::Cancelled);
+                }
+                if chosen.len() >= wanted {
+                    break;
+                }
+                if self.reaches(world, &grasp, q)? {
+                    chosen.push(Grasp { id: chosen.len() as u32, ..grasp });
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// True where a few seeds give free configurations at the start and at a goal.
     fn is_within_reach(&self, world: &World, grasp: &Grasp) -> Result<bool, PlanError> {
-        let akr = akr::assemble(&self.task.robot, &self.task.object, grasp)?;
         let goal = &self.task.file.goal;
-        let reaches = |q: f64| -> Result<bool, PlanError> {
-            let effort = Effort { seeds: SCREENING_SEEDS, enough: SCREENING_SOLUTIONS };
-            let batch = self.solve(world, &akr, grasp, q, SCREENING_TARGET, effort)?;
-            Ok(batch.accepted.len() >= SCREENING_SOLUTIONS)
-        };
-        if !reaches(goal.start)? {
+        if !self.reaches(world, grasp, goal.start)? {
             return Ok(false);
         }
         for &q in &goal.positions {
-            if reaches(q)? {
+            if self.reaches(world, grasp, q)? {
                 return Ok(true);
             }
         }
         Ok(false)
+    }
+
+    /// True where a few seeds give free configurations with the object's joint at `q`.
+    fn reaches(&self, world: &World, grasp: &Grasp, q: f64) -> Result<bool, PlanError> {
+        let akr = akr::assemble(&self.task.robot, &self.task.object, grasp)?;
+        let effort = Effort { seeds: SCREENING_SEEDS, enough: SCREENING_SOLUTIONS };
+        let batch = self.solve(world, &akr, grasp, q, SCREENING_TARGET, effort)?;
+        Ok(batch.accepted.len() >= SCREENING_SOLUTIONS)
     }
 
     /// Inverse kinematics at the start and at every goal, for every grasp; clustered.
@@ -124,7 +161,9 @@ impl Run<'_> {
         hold.approaches = hold.starts.iter().map(|_| OnceLock::new()).collect();
         if hold.starts.is_empty() {
             self.count("grasps/without_start", 1);
-            return Ok(None);
+            if task.file.goal.regrasps == 0 {
+                return Ok(None);
+            }
         }
         for (index, &goal) in task.file.goal.positions.iter().enumerate() {
             let found = self.configurations(world, &akr, &hold, goal, index + 1)?;
@@ -134,7 +173,7 @@ impl Run<'_> {
     }
 
     /// Clustered, collision-free configurations with the object's joint at `q`.
-    fn configurations(
+    pub(super) fn configurations(
         &mut self,
         world: &World,
         akr: &Akr,

@@ -1,10 +1,10 @@
 //! Phases laid out in time, and what identifies and describes a trajectory.
 
-use akrobat_model::trajectory::{DensePath, Phase, Trajectory, TrajectoryHeader};
+use akrobat_model::trajectory::{DensePath, Grasp, Phase, Regrasp, Trajectory, TrajectoryHeader};
 use akrobat_model::{JointPath, hash};
 
-use super::{Hold, Pair, Run};
-use crate::approach::Approach;
+use super::{Pair, Run};
+use crate::approach::{Approach, Timed, Transfer};
 use crate::config::PlannerConfig;
 use crate::dense::Limits;
 use crate::trajopt::{Waypoints, smooth};
@@ -12,85 +12,152 @@ use crate::trajopt::{Waypoints, smooth};
 /// Time step of sampled finger motion, seconds.
 const FINGER_STEP_S: f64 = 0.03;
 
+/// What one grasp does: the object's driven joint is the last variable of its configurations.
+pub(super) struct Leg<'a> {
+    /// The grasp.
+    pub grasp: &'a Grasp,
+    /// How the hand gets there from the grasp before; none for the first.
+    pub transfer: Option<Transfer>,
+    /// Optimised waypoints.
+    pub waypoints: Waypoints,
+    /// Dense samples through them.
+    pub samples: Waypoints,
+}
+
+/// A dense path that grows phase by phase.
+struct Timeline<'a> {
+    run: &'a Run<'a>,
+    dense: DensePath,
+    time_s: f64,
+    /// Number of base and arm columns.
+    planned: usize,
+    /// Where the object's joint is.
+    object_q: f64,
+    /// Where the fingers are.
+    fingers: Vec<f64>,
+}
+
+impl Timeline<'_> {
+    fn push(&mut self, x: &[f64], phase: Phase) {
+        let row = [&x[..self.planned], &self.fingers].concat();
+        let object = self.run.task.object.configuration(self.object_q);
+        self.dense.push(self.time_s, row, object, phase);
+    }
+
+    fn follow(&mut self, motion: &Timed, phase: Phase) {
+        for (dt, x) in motion {
+            self.time_s += dt;
+            self.push(x, phase);
+        }
+    }
+
+    /// Moves the fingers to `target` while the robot stands still at `x`.
+    fn move_fingers(&mut self, x: &[f64], target: &[f64], phase: Phase) {
+        let robot = &self.run.task.robot;
+        let limits = Limits::of(robot, &robot.gripper_joints);
+        let from = self.fingers.clone();
+        let delta: Vec<f64> = target.iter().zip(&from).map(|(to, from)| to - from).collect();
+        let duration = limits.rest_to_rest(&delta).max(0.2);
+        let count = (duration / FINGER_STEP_S).ceil().max(4.0) as usize;
+        let step = duration / count as f64 * 1.02;
+        for i in 1..=count {
+            let s = smooth(i as f64 / count as f64);
+            self.fingers = from.iter().zip(&delta).map(|(from, d)| from + d * s).collect();
+            self.time_s += step;
+            self.push(x, phase);
+        }
+    }
+}
+
 impl Run<'_> {
     /// Lays the phases out in time.
     pub(super) fn trajectory(
         &self,
-        hold: &Hold,
-        pair: &Pair,
+        key: &str,
         seed: u64,
-        waypoints: &Waypoints,
-        samples: &Waypoints,
+        goal: f64,
+        legs: Vec<Leg<'_>>,
         approach: Option<&Approach>,
     ) -> Trajectory {
         let (robot, object) = (&self.task.robot, &self.task.object);
         let columns = robot.trajectory_joints();
         let planned = columns.len() - robot.gripper_joints.len();
-        let start_q = samples[0][planned];
         let open = robot.finger_positions(robot.file.gripper.open_width_m);
-        let closed = robot.finger_positions(hold.grasp.width_m);
-        let mut dense = DensePath {
-            robot: JointPath::new(columns.len()),
-            object: JointPath::new(object.tree.dof()),
-            ..DensePath::default()
+        let closed = |leg: &Leg<'_>| robot.finger_positions(leg.grasp.width_m);
+        let start_q = legs[0].samples[0][planned];
+        let mut line = Timeline {
+            run: self,
+            dense: DensePath {
+                robot: JointPath::new(columns.len()),
+                object: JointPath::new(object.tree.dof()),
+                ..DensePath::default()
+            },
+            time_s: 0.0,
+            planned,
+            object_q: start_q,
+            fingers: open.clone(),
         };
-        let mut time = 0.0;
-        let row = |x: &[f64], fingers: &[f64]| [&x[..planned], fingers].concat();
+        let first = &legs[0].samples[0];
         if let Some(approach) = approach {
-            let rest = object.configuration(start_q);
-            dense.push(time, row(&approach.home, &open), rest.clone(), Phase::Approach);
-            for (phase, samples) in
-                [(Phase::Approach, &approach.free), (Phase::Reach, &approach.reach)]
-            {
-                for (dt, x) in samples {
-                    time += dt;
-                    dense.push(time, row(x, &open), rest.clone(), phase);
-                }
-            }
-            let limits = Limits::of(robot, &robot.gripper_joints);
-            let delta: Vec<f64> = closed.iter().zip(&open).map(|(c, o)| c - o).collect();
-            let duration = limits.rest_to_rest(&delta).max(0.2);
-            let count = (duration / FINGER_STEP_S).ceil().max(4.0) as usize;
-            let step = duration / count as f64 * 1.02;
-            for i in 1..=count {
-                let s = smooth(i as f64 / count as f64);
-                let fingers: Vec<f64> = open.iter().zip(&delta).map(|(o, d)| o + d * s).collect();
-                time += step;
-                dense.push(time, row(&samples[0], &fingers), rest.clone(), Phase::Grasp);
-            }
+            line.push(&approach.home, Phase::Approach);
+            line.follow(&approach.free, Phase::Approach);
+            line.follow(&approach.reach, Phase::Reach);
+            line.move_fingers(first, &closed(&legs[0]), Phase::Grasp);
         } else {
-            let phase = Phase::Grasp;
-            dense.push(time, row(&samples[0], &closed), object.configuration(start_q), phase);
+            line.fingers = closed(&legs[0]);
+            line.push(first, Phase::Grasp);
         }
-        let manipulation_start = dense.len() as u32 - 1;
+
         let limits = Limits::of(robot, &columns[..planned]);
-        let intervals = (self.config.waypoints - 1) as f64;
+        let count: usize = legs.iter().map(|leg| leg.waypoints.len()).sum();
         let substeps = self.config.substeps as f64;
-        let even = self.config.duration_s / intervals;
-        let interval = even * limits.stretch(samples, even / substeps).max(1.0);
-        let manipulation_begin = time;
-        for (k, x) in samples.iter().enumerate().skip(1) {
-            let time = manipulation_begin + interval * k as f64 / substeps;
-            dense.push(time, row(x, &closed), object.configuration(x[planned]), Phase::Manipulate);
-        }
+        let even = self.config.duration_s / (count - 1) as f64;
+        let stretch = legs.iter().map(|leg| limits.stretch(&leg.samples, even / substeps));
+        let interval = even * stretch.fold(1.0, f64::max);
+
         let mut waypoints_robot = JointPath::new(columns.len());
         let mut waypoints_object = JointPath::new(object.tree.dof());
-        for x in waypoints {
-            waypoints_robot.push(row(x, &closed));
-            waypoints_object.push(object.configuration(x[planned]));
+        let mut starts = Vec::new();
+        for (index, leg) in legs.iter().enumerate() {
+            let first = &leg.samples[0];
+            if let Some(transfer) = &leg.transfer {
+                let left_at = legs[index - 1].samples.last().unwrap_or(first);
+                line.move_fingers(left_at, &open, Phase::Regrasp);
+                line.follow(&transfer.retreat, Phase::Regrasp);
+                line.follow(&transfer.free, Phase::Regrasp);
+                line.follow(&transfer.reach, Phase::Regrasp);
+                line.move_fingers(first, &closed(leg), Phase::Regrasp);
+            }
+            starts.push((waypoints_robot.rows() as u32, line.dense.len() as u32 - 1));
+            let begin = line.time_s;
+            for (k, x) in leg.samples.iter().enumerate().skip(1) {
+                line.time_s = begin + interval * k as f64 / substeps;
+                line.object_q = x[planned];
+                line.push(x, Phase::Manipulate);
+            }
+            for x in &leg.waypoints {
+                waypoints_robot.push([&x[..planned], &line.fingers].concat());
+                waypoints_object.push(object.configuration(x[planned]));
+            }
         }
+        let regrasp = |(&(first_waypoint, dense_start), leg): (&(u32, u32), &Leg<'_>)| Regrasp {
+            first_waypoint,
+            dense_start,
+            grasp: leg.grasp.clone(),
+        };
         Trajectory {
-            id: self.identity(pair),
+            id: self.identity(key),
             seed,
-            grasp: hold.grasp.clone(),
+            grasp: legs[0].grasp.clone(),
             start: start_q,
-            goal: self.task.file.goal.positions[pair.goal_index],
+            goal,
             waypoints_robot,
             waypoints_object,
             waypoint_interval_s: interval,
-            manipulation_start,
+            manipulation_start: starts[0].1,
             substeps: self.config.substeps as u32,
-            dense,
+            regrasps: starts.iter().zip(&legs).skip(1).map(regrasp).collect(),
+            dense: line.dense,
             verdict: None,
         }
     }
@@ -100,16 +167,13 @@ impl Run<'_> {
         fields.iter().fold(0, |number, &field| number << 16 | field as u64)
     }
 
-    fn identity(&self, pair: &Pair) -> String {
+    fn identity(&self, key: &str) -> String {
         // How many are wanted says nothing about any one of them.
         let config = PlannerConfig { limit: 0, ..self.config.clone() };
         let config = serde_json::to_string(&config).unwrap_or_default();
         let text = format!(
-            "{:?}|{}|{}|{}|{config}",
-            self.task.content_hashes,
-            self.task.toml,
-            self.task.file.seed,
-            self.pair_number(pair)
+            "{:?}|{}|{}|{key}|{config}",
+            self.task.content_hashes, self.task.toml, self.task.file.seed,
         );
         hash::of_bytes(text.as_bytes())[..16].to_string()
     }
