@@ -22,6 +22,16 @@ pub struct JudgeConfig {
     /// Largest distance of the driven joint from its goal at the last waypoint, as a fraction of the
     /// travel from start to goal.
     pub goal_tolerance: f64,
+    /// Largest distance of a rigid or planar object from its goal, metres.
+    pub goal_translation_m: f64,
+    /// Largest angle of a rigid or planar object to its goal, radians.
+    pub goal_rotation_rad: f64,
+    /// Largest height that the hand lifts or presses a planar object by, metres.
+    pub plane_height_m: f64,
+    /// Largest angle that the hand tilts a planar object by, radians.
+    pub plane_tilt_rad: f64,
+    /// Largest gap between a rigid or planar object at rest and what carries it, metres.
+    pub support_gap_m: f64,
     /// How far an object joint that must stand still may be from where it stands, rad or m.
     pub standstill_tolerance: f64,
     /// How far a joint may be outside its position limits, rad or m.
@@ -47,6 +57,11 @@ impl Default for JudgeConfig {
             finger_width_m: 3e-3,
             start_tolerance: 0.01,
             goal_tolerance: 0.01,
+            goal_translation_m: 1e-3,
+            goal_rotation_rad: 0.01,
+            plane_height_m: 1e-3,
+            plane_tilt_rad: 0.01,
+            support_gap_m: 5e-3,
             standstill_tolerance: 1e-4,
             position_tolerance: 1e-4,
             rate_tolerance: 0.01,
@@ -70,6 +85,11 @@ impl JudgeConfig {
             ("finger_width_m", self.finger_width_m),
             ("start_tolerance", self.start_tolerance),
             ("goal_tolerance", self.goal_tolerance),
+            ("goal_translation_m", self.goal_translation_m),
+            ("goal_rotation_rad", self.goal_rotation_rad),
+            ("plane_height_m", self.plane_height_m),
+            ("plane_tilt_rad", self.plane_tilt_rad),
+            ("support_gap_m", self.support_gap_m),
             ("standstill_tolerance", self.standstill_tolerance),
             ("position_tolerance", self.position_tolerance),
             ("rate_tolerance", self.rate_tolerance),

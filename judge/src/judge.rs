@@ -1,7 +1,7 @@
 //! Puts the checks together.
 
 use akrobat_model::robot::Robot;
-use akrobat_model::task::Task;
+use akrobat_model::task::{ObjectKind, Task};
 use akrobat_model::trajectory::{ContactException, Grasp, Segment};
 use akrobat_model::{Phase, Trajectory, Verdict};
 
@@ -12,6 +12,7 @@ use crate::bodies::{Obstacle, link_solids};
 use crate::contacts::{ContactTable, LinkPairs, RobotGroups, contact_table};
 use crate::convex::ConvexPiece;
 use crate::finding::Finding;
+use crate::free;
 use crate::grip::{Grip, finger_width_m};
 use crate::kinematics::{Frame, Kinematics};
 use crate::meshes::{self, Region};
@@ -192,6 +193,13 @@ impl Judge {
         verdict.base_yaw_rad = motion.base_yaw_rad;
         refuse_first(motion.findings.into_iter().min_by_key(|finding| finding.rejection))?;
 
+        if free::is_free(&self.task)
+            && let (Some(first), Some(last)) = (sceneries.first(), sceneries.last())
+        {
+            let gap_m = self.config.support_gap_m;
+            refuse_first(free::support(&self.geometry, first, gap_m))?;
+            refuse_first(free::support(&self.geometry, last, gap_m))?;
+        }
         refuse_first(spheres::check(&self.geometry, &sceneries, self.config.sphere_tolerance_m))?;
         let penetration = meshes::deepest(&self.geometry, &sceneries);
         verdict.penetration_m = penetration.depth_m;
@@ -233,7 +241,31 @@ impl Judge {
         });
         let mut motion = Motion::default();
         motion.check_grip(grips, &grasps, config);
-        motion.check_object(trajectory, task, config);
+        if free::is_free(task) {
+            let body = free::body_link(task);
+            let last = *trajectory.manipulation_samples().end();
+            let at_last = |(c, _): &(&Configuration, &Scenery)| c.place.sample == last as f64;
+            if let Some((_, scenery)) = configurations.iter().zip(sceneries).find(at_last) {
+                let found = free::object_motion(trajectory, task, &scenery.object[body], config);
+                motion.object_moved(found);
+            }
+        } else {
+            motion.check_object(trajectory, task, config);
+        }
+        if task.file.object.kind == ObjectKind::Planar {
+            let body = free::body_link(task);
+            let carried = configurations.iter().zip(sceneries).filter_map(|(c, scenery)| {
+                let Hold::Held(grasp) = c.hold else { return None };
+                let link_from_body =
+                    scenery.object[held_links[grasp]].inverse().then(&scenery.object[body]);
+                let world_from_tool = scenery.robot[task.robot.tool_link].then(&link_from_tool);
+                let world_from_link = world_from_tool.then(&link_from_grasp[grasp].inverse());
+                let world_from_body = world_from_link.then(&link_from_body);
+                Some(free::Carried { place: c.place, world_from_body })
+            });
+            let start = self.object.link_frames(&task.object.start)[body];
+            motion.check_plane(carried, &start, config);
+        }
         motion.check_positions(configurations, &task.robot, &task.object, config);
         motion.check_rates(trajectory, &task.robot, config);
         motion.check_base_yaw(trajectory, &task.robot, config);

@@ -15,6 +15,7 @@ mod contacts;
 mod convex;
 mod error;
 mod finding;
+mod free;
 mod grip;
 mod judge;
 mod kinematics;

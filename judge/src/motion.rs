@@ -34,7 +34,12 @@ impl Motion {
     /// The object starts where the task says, reaches a goal of the task, and only its driven joint
     /// moves, only while it is held.
     pub fn check_object(&mut self, trajectory: &Trajectory, task: &Task, config: &JudgeConfig) {
-        if let Err(detail) = object_motion(trajectory, task, config) {
+        self.object_moved(object_motion(trajectory, task, config));
+    }
+
+    /// Notes what was found wrong with the object's motion.
+    pub fn object_moved(&mut self, found: Result<(), String>) {
+        if let Err(detail) = found {
             self.refuse(Rejection::ObjectMotion, detail);
         }
     }
@@ -198,7 +203,7 @@ fn object_motion(trajectory: &Trajectory, task: &Task, config: &JudgeConfig) -> 
 
 /// The dense sample at whose position the driven joint rests at `sample`; `None` where it may move. A later
 /// grasp takes over where the one before has left off.
-fn rest_sample(segments: &[Segment<'_>], sample: usize) -> Option<usize> {
+pub fn rest_sample(segments: &[Segment<'_>], sample: usize) -> Option<usize> {
     let left_at = segments.iter().rfind(|s| *s.samples.end() < sample).map(|s| *s.samples.end());
     match segments.iter().find(|s| s.samples.contains(&sample)) {
         Some(segment) if *segment.samples.start() == sample => left_at,

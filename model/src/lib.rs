@@ -7,6 +7,7 @@ pub mod error;
 pub mod events;
 #[doc(hidden)]
 pub mod fixtures;
+pub mod free_object;
 pub mod geometry;
 pub mod hash;
 pub mod load;

@@ -64,7 +64,11 @@ pub struct ObjectSection {
     /// A scene body whose place the object takes.
     #[serde(default)]
     pub replaces: Option<Replaces>,
-    /// The joint that is driven to the goal.
+    /// What it is: something with a joint, a rigid thing, or one that slides on the floor.
+    #[serde(default)]
+    pub kind: ObjectKind,
+    /// The joint that is driven to the goal. Rigid and planar objects have none.
+    #[serde(default)]
     pub joint: String,
     /// Positions of the object's other joints (rad, m); those not named rest at their neutral position.
     #[serde(default)]
@@ -75,6 +79,19 @@ pub struct ObjectSection {
     /// Licence of the object's files, as an SPDX expression.
     #[serde(default)]
     pub license: String,
+}
+
+/// How an object moves.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectKind {
+    /// One of its joints is driven; the rest of it stays where it is.
+    #[default]
+    Articulated,
+    /// It is picked up and put down somewhere else.
+    Rigid,
+    /// It is too heavy to lift and slides on the floor, upright.
+    Planar,
 }
 
 fn one() -> f64 {
@@ -211,7 +228,12 @@ pub struct GoalSection {
     #[serde(default)]
     pub start: f64,
     /// Positions to reach, rad or m; every one is planned for.
+    #[serde(default)]
     pub positions: Vec<f64>,
+    /// Poses that a rigid or planar object is brought to, `[x y z qw qx qy qz]` of its root in the world;
+    /// every one is planned for.
+    #[serde(default)]
+    pub poses: Vec<[f64; 7]>,
     /// How often the grasp may be changed on the way, at most: for goals that no single grasp reaches.
     #[serde(default)]
     pub regrasps: usize,

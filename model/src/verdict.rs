@@ -16,6 +16,10 @@ pub enum Rejection {
     Grip,
     /// The object does not start closed or does not reach its goal, or moves while it is not held.
     ObjectMotion,
+    /// A planar object is lifted or tilted by the hand that moves it.
+    LeftPlane,
+    /// A rigid or planar object is put down, or stands at the start, where nothing carries it.
+    Unsupported,
     /// A joint position limit is exceeded.
     PositionLimit,
     /// A joint velocity limit is exceeded.
@@ -34,12 +38,14 @@ pub enum Rejection {
 
 impl Rejection {
     /// All reasons, in order of precedence.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::Malformed,
         Self::AnchorTranslation,
         Self::AnchorRotation,
         Self::Grip,
         Self::ObjectMotion,
+        Self::LeftPlane,
+        Self::Unsupported,
         Self::PositionLimit,
         Self::VelocityLimit,
         Self::AccelerationLimit,
@@ -57,6 +63,8 @@ impl Rejection {
             Self::AnchorRotation => "anchor_rotation",
             Self::Grip => "grip",
             Self::ObjectMotion => "object_motion",
+            Self::LeftPlane => "left_plane",
+            Self::Unsupported => "unsupported",
             Self::PositionLimit => "position_limit",
             Self::VelocityLimit => "velocity_limit",
             Self::AccelerationLimit => "acceleration_limit",

@@ -119,12 +119,31 @@ impl ApproachPlanner<'_> {
         })
     }
 
+    /// Straight back from a hold at `grasp` (base and arm) with open fingers.
+    ///
+    /// # Errors
+    /// [`Failure::Reach`].
+    pub fn retreat(&self, grasp: &[f64]) -> Result<Timed, Failure> {
+        let mut retreat = self.reach(grasp).ok_or(Failure::Reach)?;
+        retreat.reverse();
+        Ok(self.timed(&retreat))
+    }
+
+    /// Through free space from one configuration to another.
+    ///
+    /// # Errors
+    /// [`Failure::Path`].
+    pub fn across(&self, from: &[f64], to: &[f64], seed: u64) -> Result<Timed, Failure> {
+        let corners = self.free_path(from, to, seed).ok_or(Failure::Path)?;
+        Ok(self.timed_corners(&corners))
+    }
+
     fn limits(&self) -> Limits {
         Limits::of(self.robot, &[&self.robot.base_joints[..], &self.robot.arm_joints].concat())
     }
 
     /// Moves along a spline through `knots`.
-    fn timed(&self, knots: &[Vec<f64>]) -> Timed {
+    pub fn timed(&self, knots: &[Vec<f64>]) -> Timed {
         let clamp = |x: &mut [f64]| self.kinematics.clamp(x);
         let (samples, dt) = timed_spline(knots, &self.limits(), STEP_S, clamp);
         samples.into_iter().map(|x| (dt, x)).collect()

@@ -1,8 +1,10 @@
 //! The planning run: composes the stages, deterministically for any number of threads.
 
 mod pairing;
+mod planar;
 mod reach;
 mod regrasp;
+mod rigid;
 mod timeline;
 
 use std::collections::BTreeMap;
@@ -11,7 +13,7 @@ use std::time::Instant;
 
 use akrobat_model::events::{Event, Observer};
 use akrobat_model::robot::BaseKind;
-use akrobat_model::task::Task;
+use akrobat_model::task::{ObjectKind, Task};
 use akrobat_model::trajectory::{ContactException, Grasp, Trajectory, TrajectorySet};
 use akrobat_model::{ModelError, Verdict, hash};
 use rayon::prelude::*;
@@ -132,15 +134,25 @@ pub fn plan(
     observer: &dyn Observer,
     judge: &JudgeFn<'_>,
 ) -> Result<PlanOutcome, PlanError> {
-    let mut run = Run {
-        task,
-        preparation,
-        config,
-        observer,
-        counts: BTreeMap::new(),
-        stage_seconds: BTreeMap::new(),
-        step_seconds: BTreeMap::new(),
-    };
+    match task.file.object.kind {
+        ObjectKind::Articulated => plan_driven(task, preparation, world, config, observer, judge),
+        ObjectKind::Planar => planar::plan_planar(task, preparation, config, observer, judge),
+        ObjectKind::Rigid => {
+            rigid::plan_rigid(Run::new(task, preparation, config, observer), world, judge)
+        }
+    }
+}
+
+/// Plans a task whose object has a joint that is driven.
+fn plan_driven(
+    task: &Task,
+    preparation: &Preparation,
+    world: &World,
+    config: &PlannerConfig,
+    observer: &dyn Observer,
+    judge: &JudgeFn<'_>,
+) -> Result<PlanOutcome, PlanError> {
+    let mut run = Run::new(task, preparation, config, observer);
     let grasps = run.stage("grasps", |run| run.grasps(world))?;
     let holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
     let pairs = run.stage("pairing", |run| run.pairs(world, &holds));
@@ -161,15 +173,7 @@ pub fn plan(
         };
         run.collect("re-grasped trajectories", &chains, config.limit, &mut found, &connect)?;
     }
-    run.count("accepted", trajectories.len());
-    let header = run.header();
-    Ok(PlanOutcome {
-        set: TrajectorySet { header, trajectories },
-        counts: run.counts,
-        stage_seconds: run.stage_seconds,
-        step_seconds: run.step_seconds,
-        notes,
-    })
+    Ok(run.outcome(trajectories, notes))
 }
 
 struct Run<'a> {
@@ -239,6 +243,43 @@ type Connect<'a, T> = dyn Fn(&Run<'_>, &T, &mut StepClock) -> Outcome + Sync + '
 enum Outcome {
     Failed(&'static str, String),
     Judged(Box<Trajectory>, Verdict),
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        task: &'a Task,
+        preparation: &'a Preparation,
+        config: &'a PlannerConfig,
+        observer: &'a dyn Observer,
+    ) -> Self {
+        let (counts, stage_seconds, step_seconds) = Default::default();
+        Self { task, preparation, config, observer, counts, stage_seconds, step_seconds }
+    }
+
+    /// Adds the counts and times of a run for a part of the task.
+    fn absorb(&mut self, part: &PlanOutcome) {
+        for (name, count) in part.counts.iter().filter(|(name, _)| *name != "accepted") {
+            *self.counts.entry(name.clone()).or_default() += count;
+        }
+        for (name, seconds) in &part.stage_seconds {
+            *self.stage_seconds.entry(name.clone()).or_default() += seconds;
+        }
+        for (name, seconds) in &part.step_seconds {
+            self.step_seconds.entry(name.clone()).or_default().extend(seconds);
+        }
+    }
+
+    fn outcome(mut self, trajectories: Vec<Trajectory>, notes: Vec<String>) -> PlanOutcome {
+        self.count("accepted", trajectories.len());
+        let header = self.header();
+        PlanOutcome {
+            set: TrajectorySet { header, trajectories },
+            counts: self.counts,
+            stage_seconds: self.stage_seconds,
+            step_seconds: self.step_seconds,
+            notes,
+        }
+    }
 }
 
 impl Run<'_> {
@@ -366,10 +407,13 @@ impl Run<'_> {
                 }
             }
         };
-        let leg = match self.leg(world, hold, self.config, start, &pair.goal, steps) {
+        let mut leg = match self.leg(world, hold, self.config, start, &pair.goal, steps) {
             Ok(leg) => leg,
             Err((reason, detail)) => return Outcome::Failed(reason, detail),
         };
+        if let Err(reason) = self.let_go(world, Some(&mut leg)) {
+            return Outcome::Failed(reason, String::new());
+        }
         let number = self.pair_number(pair);
         let seed = stage_seed(self.task, "pair", number);
         let goal = self.task.file.goal.positions[pair.goal_index];
@@ -419,7 +463,10 @@ impl Run<'_> {
                 return Err(fail("base_yaw"));
             }
         }
-        Ok(Leg { grasp: &hold.grasp, transfer: None, waypoints, samples })
+        let planned = start.len() - 1;
+        let objects = samples.iter().map(|x| self.task.object.configuration(x[planned])).collect();
+        let (transfer, release) = (None, None);
+        Ok(Leg { grasp: &hold.grasp, transfer, waypoints, samples, objects, release })
     }
 
     fn first_collision(
@@ -452,6 +499,18 @@ impl Run<'_> {
             self.with_open_hand(world, object_q[0], |planner| planner.plan(grasp, seed))
         };
         hold.approaches[start].get_or_init(plan).as_ref().map_err(|reason| *reason)
+    }
+
+    /// Plans how the hand leaves an object that stands where it was brought; a door or drawer stays in it.
+    fn let_go(&self, world: &World, last: Option<&mut Leg<'_>>) -> Result<(), &'static str> {
+        let standing = self.task.file.object.kind != ObjectKind::Articulated;
+        if let Some(leg) = last.filter(|_| standing)
+            && let Some((object_q, grasp)) = leg.samples.last().and_then(|x| x.split_last())
+        {
+            let release = self.with_open_hand(world, *object_q, |planner| planner.retreat(grasp));
+            leg.release = Some(release.map_err(|_| "retreat")?);
+        }
+        Ok(())
     }
 
     /// The way of the open hand from one hold (base, arm, object's joint) to another.

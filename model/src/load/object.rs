@@ -10,8 +10,10 @@ use super::scene::{bounds, matching, parts_bounds};
 use super::{AssetSearch, check_position, joint_index, link_index, place};
 use crate::mesh_io::MeshCache;
 use crate::pose::from_xyz_wxyz;
-use crate::task::{ManipulatedObject, ObjectSection, Replaces, TaskFile, matches_pattern};
-use crate::{JointKind, KinematicTree, ModelError, Pose, Scene, hash, urdf};
+use crate::task::{
+    ManipulatedObject, ObjectKind, ObjectSection, Replaces, TaskFile, matches_pattern,
+};
+use crate::{JointKind, KinematicTree, ModelError, Pose, Scene, free_object, hash, urdf};
 
 /// An object and what its identity rests on.
 pub struct LoadedObject {
@@ -51,6 +53,14 @@ pub fn load(
         urdf::load(&urdf_path, search, &mut MeshCache::default())?;
     let tree = if section.scale == 1.0 { tree } else { tree.scaled(section.scale) };
     let (tree, world_from_root) = placed(task_path, task, tree, scene)?;
+    if section.kind != ObjectKind::Articulated {
+        let object = free_object(task_path, task, tree, &world_from_root, notes)?;
+        return Ok(LoadedObject { object, urdf_path, mesh_files });
+    }
+    if !task.goal.poses.is_empty() {
+        let message = "only rigid and planar objects have goal poses; set goal.positions";
+        return Err(ModelError::bad_value(place(task_path, "goal.poses"), message));
+    }
     let active_joint = active_joint(task_path, section, &tree)?;
     let start = start(task_path, task, &tree, active_joint)?;
     check_goals(task_path, task, &tree, active_joint)?;
@@ -67,6 +77,84 @@ pub fn load(
         notes,
     };
     Ok(LoadedObject { object, urdf_path, mesh_files })
+}
+
+/// A rigid or planar object: its virtual joints are driven.
+fn free_object(
+    task_path: &Path,
+    task: &TaskFile,
+    tree: KinematicTree,
+    world_from_object: &Pose,
+    notes: Vec<String>,
+) -> Result<ManipulatedObject, ModelError> {
+    let section = &task.object;
+    let kind = section.kind;
+    let refuse =
+        |key: &str, message: String| Err(ModelError::bad_value(place(task_path, key), message));
+    if !section.joint.is_empty() {
+        let message = "only an articulated object has a driven joint; leave it out".into();
+        return refuse("object.joint", message);
+    }
+    if !task.goal.positions.is_empty() {
+        let message = "rigid and planar objects have goal.poses; leave it out".into();
+        return refuse("goal.positions", message);
+    }
+    if task.goal.poses.is_empty() {
+        return refuse("goal.poses", "expected at least one pose, got none".into());
+    }
+    for pose in &task.goal.poses {
+        let Some(goal) = from_xyz_wxyz(*pose) else {
+            return refuse("goal.poses", format!("expected [x y z qw qx qy qz], got {pose:?}"));
+        };
+        let lifted = (goal.translation.z - world_from_object.translation.z).abs();
+        let tilted = free_object::tilt(world_from_object, &goal);
+        if kind == ObjectKind::Planar && (lifted > 1e-4 || tilted > 1e-3) {
+            let message = format!(
+                "{pose:?}: a planar object stays upright at its height; this one is {lifted:.4} m off and tilted by {tilted:.4} rad"
+            );
+            return refuse("goal.poses", message);
+        }
+        if kind == ObjectKind::Rigid && goal.rotation.euler_angles().1.abs() > 1.45 {
+            let message = format!(
+                "{pose:?}: pitch must stay within 1.45 rad, where yaw and roll can be told apart"
+            );
+            return refuse("goal.poses", message);
+        }
+    }
+    let body = tree.root();
+    let tree = free_object::with_virtual_joints(tree, kind, world_from_object)?;
+    let active_joint = tree.joint_index(free_object::joint_names(kind)[0])?;
+    let mut start = tree.neutral();
+    let locked = place(task_path, "object.locked");
+    for (name, &position) in &section.locked {
+        let joint = joint_index(&locked, &tree, name)?;
+        check_movable(&locked, &tree, joint)?;
+        check_position(&locked, &tree.joints()[joint], position)?;
+        if let Some(column) = tree.column(joint) {
+            start[column] = position;
+        }
+    }
+    let positions = free_object::positions(kind, world_from_object);
+    for (name, position) in free_object::joint_names(kind).iter().zip(positions) {
+        if let Some(column) = tree.column(tree.joint_index(name)?) {
+            start[column] = position;
+        }
+    }
+    let (handle_link, handle_parts) = match section.handle {
+        Some(_) => handle(task_path, section, &tree, active_joint)?,
+        None => (body, vec!["*".to_owned()]),
+    };
+    Ok(ManipulatedObject {
+        name: section.name.clone().unwrap_or_else(|| tree.name.clone()),
+        handle_region: section.handle.as_ref().and_then(|h| h.region),
+        tree,
+        world_from_root: Pose::identity(),
+        active_joint,
+        handle_link,
+        handle_parts,
+        start,
+        notes,
+    })
 }
 
 /// The tree, scaled to fit where asked, and its pose.

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::{AssetSearch, grasps, object, parse_toml_text, place, robot, scene};
 use crate::pose::from_xyz_wxyz;
 use crate::robot::BaseKind;
-use crate::task::{GraspFrame, ManipulatedObject, Task, TaskFile};
+use crate::task::{GraspFrame, ManipulatedObject, ObjectKind, Task, TaskFile};
 use crate::{ModelError, Pose, Robot, hash};
 
 /// Loads a task file and everything it names.
@@ -16,7 +16,7 @@ pub fn load(path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
 
 /// Loads what the text of a task file names, as if it stood at `path`.
 pub fn from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task, ModelError> {
-    let file: TaskFile = parse_toml_text(path, &text)?;
+    let mut file: TaskFile = parse_toml_text(path, &text)?;
     let mut content_hashes = BTreeMap::from([("task".to_owned(), hash::of_bytes(text.as_bytes()))]);
 
     let mut loaded_robot = robot::load(&search.find(&file.robot.file, path)?, search)?;
@@ -28,6 +28,10 @@ pub fn from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task
 
     let loaded_object = object::load(path, &file, search, &mut loaded_scene.scene)?;
     loaded_object.add_hashes(&mut content_hashes)?;
+
+    if file.object.kind != ObjectKind::Articulated {
+        drive_first_virtual_joint(&mut file, &loaded_object.object);
+    }
 
     let grasp_poses = grasp_poses(path, &file, search, &loaded_object.object, &mut content_hashes)?;
     let dir = path.parent().unwrap_or(Path::new("")).to_path_buf();
@@ -41,6 +45,14 @@ pub fn from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task
         content_hashes,
         file,
     })
+}
+
+/// States start and goals of a rigid or planar object by its first virtual joint as well, so that whoever
+/// only wants one number per trajectory has one.
+fn drive_first_virtual_joint(file: &mut TaskFile, object: &ManipulatedObject) {
+    file.object.joint = object.tree.joints()[object.active_joint].name.clone();
+    file.goal.start = object.tree.column(object.active_joint).map_or(0.0, |c| object.start[c]);
+    file.goal.positions = file.goal.poses.iter().map(|pose| pose[0]).collect();
 }
 
 /// Puts a robot with a fixed base where the task says.

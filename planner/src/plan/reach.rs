@@ -203,7 +203,7 @@ impl Run<'_> {
     }
 
     /// Collision-free base and arm configurations that hold the object with its joint at `q`.
-    fn solve(
+    pub(super) fn solve(
         &self,
         world: &World,
         akr: &Akr,

@@ -250,6 +250,9 @@ impl Run<'_> {
             }
             legs.push(leg);
         }
+        if let Err(reason) = self.let_go(world, legs.last_mut()) {
+            return Outcome::Failed(reason, String::new());
+        }
         let goal = self.task.file.goal.positions[chain.goal_index];
         let trajectory = self.trajectory(&chain.key, seed, goal, legs, approach);
         let verdict = judge(&trajectory);

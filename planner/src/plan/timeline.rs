@@ -12,7 +12,7 @@ use crate::trajopt::{Waypoints, smooth};
 /// Time step of sampled finger motion, seconds.
 const FINGER_STEP_S: f64 = 0.03;
 
-/// What one grasp does: the object's driven joint is the last variable of its configurations.
+/// What one grasp does. Configurations are base, arm, and maybe more that is not the robot's.
 pub(super) struct Leg<'a> {
     /// The grasp.
     pub grasp: &'a Grasp,
@@ -22,6 +22,10 @@ pub(super) struct Leg<'a> {
     pub waypoints: Waypoints,
     /// Dense samples through them.
     pub samples: Waypoints,
+    /// Positions of all object joints at each sample.
+    pub objects: Vec<Vec<f64>>,
+    /// How the hand leaves at the end, where it lets go.
+    pub release: Option<Timed>,
 }
 
 /// A dense path that grows phase by phase.
@@ -31,8 +35,8 @@ struct Timeline<'a> {
     time_s: f64,
     /// Number of base and arm columns.
     planned: usize,
-    /// Where the object's joint is.
-    object_q: f64,
+    /// Where the object's joints are.
+    object: Vec<f64>,
     /// Where the fingers are.
     fingers: Vec<f64>,
 }
@@ -40,8 +44,7 @@ struct Timeline<'a> {
 impl Timeline<'_> {
     fn push(&mut self, x: &[f64], phase: Phase) {
         let row = [&x[..self.planned], &self.fingers].concat();
-        let object = self.run.task.object.configuration(self.object_q);
-        self.dense.push(self.time_s, row, object, phase);
+        self.dense.push(self.time_s, row, self.object.iter().copied(), phase);
     }
 
     fn follow(&mut self, motion: &Timed, phase: Phase) {
@@ -84,7 +87,9 @@ impl Run<'_> {
         let planned = columns.len() - robot.gripper_joints.len();
         let open = robot.finger_positions(robot.file.gripper.open_width_m);
         let closed = |leg: &Leg<'_>| robot.finger_positions(leg.grasp.width_m);
-        let start_q = legs[0].samples[0][planned];
+        let start_q =
+            object.tree.column(object.active_joint).map_or(0.0, |c| legs[0].objects[0][c]);
+        let substeps = (legs[0].samples.len() - 1) / (legs[0].waypoints.len() - 1).max(1);
         let mut line = Timeline {
             run: self,
             dense: DensePath {
@@ -94,7 +99,7 @@ impl Run<'_> {
             },
             time_s: 0.0,
             planned,
-            object_q: start_q,
+            object: legs[0].objects[0].clone(),
             fingers: open.clone(),
         };
         let first = &legs[0].samples[0];
@@ -110,9 +115,9 @@ impl Run<'_> {
 
         let limits = Limits::of(robot, &columns[..planned]);
         let count: usize = legs.iter().map(|leg| leg.waypoints.len()).sum();
-        let substeps = self.config.substeps as f64;
         let even = self.config.duration_s / (count - 1) as f64;
-        let stretch = legs.iter().map(|leg| limits.stretch(&leg.samples, even / substeps));
+        let step = even / substeps as f64;
+        let stretch = legs.iter().map(|leg| limits.stretch(&leg.samples, step));
         let interval = even * stretch.fold(1.0, f64::max);
 
         let mut waypoints_robot = JointPath::new(columns.len());
@@ -130,14 +135,18 @@ impl Run<'_> {
             }
             starts.push((waypoints_robot.rows() as u32, line.dense.len() as u32 - 1));
             let begin = line.time_s;
-            for (k, x) in leg.samples.iter().enumerate().skip(1) {
-                line.time_s = begin + interval * k as f64 / substeps;
-                line.object_q = x[planned];
+            for (k, (x, object)) in leg.samples.iter().zip(&leg.objects).enumerate().skip(1) {
+                line.time_s = begin + interval * k as f64 / substeps as f64;
+                line.object.clone_from(object);
                 line.push(x, Phase::Manipulate);
             }
-            for x in &leg.waypoints {
+            for (x, object) in leg.waypoints.iter().zip(leg.objects.iter().step_by(substeps)) {
                 waypoints_robot.push([&x[..planned], &line.fingers].concat());
-                waypoints_object.push(object.configuration(x[planned]));
+                waypoints_object.push(object.iter().copied());
+            }
+            if let Some(release) = &leg.release {
+                line.move_fingers(leg.samples.last().unwrap_or(first), &open, Phase::Release);
+                line.follow(release, Phase::Release);
             }
         }
         let regrasp = |(&(first_waypoint, dense_start), leg): (&(u32, u32), &Leg<'_>)| Regrasp {
@@ -155,7 +164,7 @@ impl Run<'_> {
             waypoints_object,
             waypoint_interval_s: interval,
             manipulation_start: starts[0].1,
-            substeps: self.config.substeps as u32,
+            substeps: substeps as u32,
             regrasps: starts.iter().zip(&legs).skip(1).map(regrasp).collect(),
             dense: line.dense,
             verdict: None,
