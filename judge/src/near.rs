@@ -12,7 +12,9 @@ use crate::travel::Travel;
 const MARGIN_M: f64 = 0.04;
 /// Where there is nothing within this, it is not looked at again before it can be there, metres.
 const WIDE_MARGIN_M: f64 = 0.3;
-/// A gap of this size is worth no search for the face with the largest, metres.
+/// A gap of this size at the face that last had one is worth no search for a wider one …
+const NARROW_GAP_M: f64 = 0.002;
+/// … and a search ends at a gap of this size, metres.
 const WIDE_GAP_M: f64 = 0.02;
 
 /// What is known about a pair of solids.
@@ -37,15 +39,18 @@ impl Gap {
     }
 }
 
-/// The smallest distance of the corners of `a` from a face of `b`, largest over the faces; `face` is tried first and
-/// becomes the one with the distance given. Positive where that face separates the solids.
+/// The smallest distance of the corners of `a` from a face of `b`: of a face that separates them well enough, or else the
+/// largest over all faces. `face` is tried first and becomes the one with the distance given.
 fn separation(a: &[Vector], planes: &[Plane], face: &mut u32) -> f64 {
     let beyond = |plane: &Plane| a.iter().map(|&v| plane.distance(v)).fold(f64::MAX, f64::min);
     let mut best = beyond(&planes[*face as usize]);
-    if best > WIDE_GAP_M {
+    if best > NARROW_GAP_M {
         return best;
     }
     for (index, plane) in planes.iter().enumerate() {
+        if best > WIDE_GAP_M {
+            break;
+        }
         // One corner that is not farther out than the best tells enough of a face.
         if plane.distance(a[0]) > best {
             let distance = beyond(plane);

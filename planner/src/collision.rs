@@ -215,7 +215,9 @@ impl Penalty {
         self.cost += hinge * hinge;
         self.largest = self.largest.max(hinge);
         self.gradient += row * hinge;
-        self.hessian.ger(1.0, row, row, 1.0);
+        for (column, &by) in row.iter().enumerate().filter(|(_, by)| **by != 0.0) {
+            self.hessian.column_mut(column).axpy(by, row, 1.0);
+        }
     }
 }
 

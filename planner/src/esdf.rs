@@ -65,8 +65,11 @@ impl Esdf {
         let mut field =
             Self { origin: low, voxel_m, size, values: vec![f32::INFINITY; size.iter().product()] };
         let nearest = field.rasterise(triangles);
-        let outside = (!free_seeds.is_empty()).then(|| field.reachable(free_seeds));
-        field.propagate(triangles, nearest);
+        let (outside, columns) = rayon::join(
+            || (!free_seeds.is_empty()).then(|| field.reachable(free_seeds)),
+            || field.propagate(nearest),
+        );
+        field.fill(triangles, &columns);
         if let Some(outside) = outside {
             field.negate_unreachable(&outside);
         }
@@ -164,28 +167,35 @@ impl Esdf {
     /// Marks the voxels that can be reached from the seeds by face steps between voxels whose centres are
     /// at least 0.6 voxels from any surface (so that no wall is leapt over).
     fn reachable(&self, seeds: &[Vector3<f64>]) -> Vec<bool> {
+        let [nx, ny, nz] = self.size;
         let wall = (0.6 * self.voxel_m) as f32;
+        let mut open: Vec<bool> = self.values.par_iter().map(|&v| v > wall).collect();
         let mut seen = vec![false; self.values.len()];
-        let mut stack: Vec<usize> = Vec::new();
-        for seed in seeds {
-            if let Some(index) = self.nearest_voxel(seed)
-                && self.values[index] > wall
-                && !std::mem::replace(&mut seen[index], true)
-            {
-                stack.push(index);
-            }
-        }
-        let strides = [1, self.size[0], self.size[0] * self.size[1]];
+        let mut stack: Vec<usize> = seeds.iter().filter_map(|s| self.nearest_voxel(s)).collect();
+        // Whole runs along x at once: neighbouring rows get one seed for each of theirs.
         while let Some(index) = stack.pop() {
-            for axis in 0..3 {
-                let coordinate = index / strides[axis] % self.size[axis];
-                let below = (coordinate > 0).then(|| index - strides[axis]);
-                let above = (coordinate + 1 < self.size[axis]).then(|| index + strides[axis]);
-                for next in [below, above].into_iter().flatten() {
-                    if !seen[next] && self.values[next] > wall {
-                        seen[next] = true;
-                        stack.push(next);
+            if !open[index] {
+                continue;
+            }
+            let row = index - index % nx;
+            let first = (row..index).rev().take_while(|&i| open[i]).last().unwrap_or(index);
+            let last = (index..row + nx).take_while(|&i| open[i]).last().unwrap_or(index);
+            open[first..=last].fill(false);
+            seen[first..=last].fill(true);
+            let (y, z) = (row / nx % ny, row / (nx * ny));
+            let rows = [
+                (y > 0).then(|| row - nx),
+                (y + 1 < ny).then(|| row + nx),
+                (z > 0).then(|| row - nx * ny),
+                (z + 1 < nz).then(|| row + nx * ny),
+            ];
+            for beside in rows.into_iter().flatten() {
+                let mut inside = false;
+                for i in beside + first - row..=beside + last - row {
+                    if open[i] && !inside {
+                        stack.push(i);
                     }
+                    inside = open[i];
                 }
             }
         }
@@ -204,9 +214,9 @@ impl Esdf {
         Some(index)
     }
 
-    /// Fills everything beyond the exact band: carries the nearest triangle of each voxel on a surface to
-    /// all voxels that have no nearer one, and measures the distance to it.
-    fn propagate(&mut self, triangles: &[[Vector3<f64>; 3]], mut labels: Vec<u32>) {
+    /// Carries the nearest triangle of each voxel on a surface to all voxels that have no nearer one. Gives
+    /// what is nearest to each voxel, z fastest, then x.
+    fn propagate(&self, mut labels: Vec<u32>) -> Vec<Nearest> {
         let [nx, ny, nz] = self.size;
         let scale = 1.0 / self.voxel_m as f32;
         // Every point of a surface is this near to a voxel's centre.
@@ -246,6 +256,12 @@ impl Esdf {
                 }
             },
         );
+        columns
+    }
+
+    /// Fills everything beyond the exact band with the distance to what is nearest.
+    fn fill(&mut self, triangles: &[[Vector3<f64>; 3]], columns: &[Nearest]) {
+        let [nx, ny, nz] = self.size;
         let (origin, voxel) = (self.origin, self.voxel_m);
         self.values.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
             for (y, row) in plane.chunks_mut(nx).enumerate() {

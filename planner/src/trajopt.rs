@@ -9,7 +9,7 @@
 use nalgebra::{DMatrix, DVector, SVector};
 
 use crate::closure::Closure;
-use crate::collision::{Penalty, RobotBody};
+use crate::collision::{MovingCheck, Penalty, RobotBody};
 use crate::config::PlannerConfig;
 use crate::kinematics::{Kinematics, MAX_VARIABLES};
 use crate::world::World;
@@ -20,6 +20,12 @@ pub type Waypoints = Vec<Vec<f64>>;
 /// Weights of squared clearance hinges (per square metre), one round of optimisation each: the next round
 /// is for paths that are still too close to something.
 const CLEARANCE_WEIGHTS: [f64; 3] = [4e3, 4e4, 4e5];
+/// A path that is left this deep in something after a round is given up, metres.
+const HOPELESS_M: f64 = 0.06;
+/// A step that lowers the cost by less than this share is the last of its round.
+const LEAST_GAIN: f64 = 1e-3;
+/// Waypoints from one look at the clearance of a followed path to the next.
+const FOLLOW_CHECK_STEPS: usize = 4;
 /// Weight of squared limit hinges (per square radian).
 const LIMIT_WEIGHT: f64 = 100.0;
 /// Distance from a joint limit at which its hinge begins, rad or m.
@@ -84,12 +90,22 @@ impl Problem<'_> {
     /// Follows the object's joint from a start configuration to `goal_q` by projection alone: the end
     /// that is reached most naturally from this start.
     pub fn follow(&self, start: &[f64], goal_q: f64) -> Option<Vec<f64>> {
+        self.follow_each(start, goal_q, |_, _| ())
+    }
+
+    fn follow_each(
+        &self,
+        start: &[f64],
+        goal_q: f64,
+        mut look: impl FnMut(usize, &[f64]),
+    ) -> Option<Vec<f64>> {
         let object = start.len() - 1;
         let last = self.config.waypoints - 1;
         let mut x = start.to_vec();
         for step in 1..=last {
             x[object] = start[object] + (goal_q - start[object]) * step as f64 / last as f64;
             self.closure.project(self.kinematics, &mut x, &self.mobility, true).then_some(())?;
+            look(step, &x);
         }
         Some(x)
     }
@@ -98,10 +114,26 @@ impl Problem<'_> {
     pub fn optimise(&self, path: &mut Waypoints) {
         let spare = self.config.clearance_m - self.config.min_clearance_m;
         for weight in CLEARANCE_WEIGHTS {
-            if self.round(path, weight) < 0.8 * spare {
+            let left = self.round(path, weight);
+            if left < 0.8 * spare || left > HOPELESS_M {
                 break;
             }
         }
+    }
+
+    /// Follows the object's joint as [`Self::follow`] does, and tells the smallest clearance at every
+    /// few waypoints of the way, metres: what this way would have to be pushed out of.
+    pub fn follow_with_clearance(&self, start: &[f64], goal_q: f64) -> Option<(Vec<f64>, f64)> {
+        let mut worst = f64::INFINITY;
+        let end = self.follow_each(start, goal_q, |step, x| {
+            if step % FOLLOW_CHECK_STEPS == 0 {
+                let frames = self.kinematics.forward(x);
+                let (q, moving) = (x[x.len() - 1], MovingCheck::NotTool);
+                let found = self.body.clearance(&frames, self.world, q, moving, f64::NEG_INFINITY);
+                worst = worst.min(found.distance_m);
+            }
+        })?;
+        Some((end, worst))
     }
 
     /// One round with a fixed clearance weight. Returns the largest clearance hinge that is left, metres.
@@ -121,7 +153,7 @@ impl Problem<'_> {
                 terms = trial_terms;
                 cost = trial_cost;
                 damping = (damping * 0.3).max(1e-6);
-                if gain < 1e-4 {
+                if gain < LEAST_GAIN {
                     break;
                 }
             } else {

@@ -7,6 +7,11 @@ use crate::config::PlannerConfig;
 use crate::trajopt::Problem;
 use crate::world::World;
 
+/// Clearance of a followed path from which optimisation mostly finds a free one, metres; starts with less come after
+/// all others.
+const PROMISING_M: f64 = -0.02;
+const UNPROMISING_RANK: usize = 100;
+
 impl Run<'_> {
     pub(super) fn problem<'b>(
         &self,
@@ -44,7 +49,11 @@ impl Run<'_> {
                 for (start_index, start) in hold.starts.iter().enumerate() {
                     for (goal_index, goals) in hold.goals.iter().enumerate() {
                         let q = self.task.file.goal.positions[goal_index];
-                        let followed = problem.follow(start, q);
+                        let followed = problem.follow_with_clearance(start, q);
+                        let clear = followed
+                            .as_ref()
+                            .is_some_and(|(_, clearance)| *clearance > PROMISING_M);
+                        let followed = followed.map(|(end, _)| end);
                         let mut ends: Vec<Vec<f64>> = goals.clone();
                         ends.retain(|g| {
                             yaw.is_none_or(|y| {
@@ -62,7 +71,7 @@ impl Run<'_> {
                             start: start_index,
                             goal_index,
                             goal,
-                            rank,
+                            rank: if clear { rank } else { rank + UNPROMISING_RANK },
                         }));
                     }
                 }
