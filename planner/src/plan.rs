@@ -7,7 +7,7 @@ mod regrasp;
 mod rigid;
 mod timeline;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 use std::time::Instant;
 
@@ -154,19 +154,42 @@ fn plan_driven(
 ) -> Result<PlanOutcome, PlanError> {
     let mut run = Run::new(task, preparation, config, observer);
     let grasps = run.stage("grasps", |run| run.grasps(world))?;
-    let holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
-    let pairs = run.stage("pairing", |run| run.pairs(world, &holds));
-    run.count("pairs", pairs.len());
+    let mut holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
+    let mut followed = run.stage("pairing", |run| run.followed_pairs(world, &holds));
+    run.count("pairs", followed.len());
+    let regrasps = task.file.goal.regrasps > 0;
+    let mut limit = config.limit;
+    if regrasps {
+        run.stage("goals", |run| run.find_goals(world, &mut holds))?;
+        limit -= run.reserved(&holds, &followed);
+    }
     let (mut trajectories, mut notes) = (Vec::new(), Vec::new());
     let mut found = Found { trajectories: &mut trajectories, notes: &mut notes };
-    let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
-        run.connect(world, &holds, pair, judge, steps)
-    };
-    let limit = config.limit - run.reserved(&pairs);
-    run.collect("trajectory optimisation", &pairs, limit, &mut found, &connect)?;
+    let optimisation = "trajectory optimisation";
+    let all_followed = followed.clone();
+    let mut reached = BTreeSet::new();
+    while !followed.is_empty() && found.trajectories.len() < limit {
+        let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
+            run.connect(world, &holds, pair, judge, steps)
+        };
+        let round = pairing::next_round(&mut followed, &reached);
+        let accepted = run.collect(optimisation, &round, limit, &mut found, &connect)?;
+        reached.extend(accepted.into_iter().map(|pair| (round[pair].hold, round[pair].start)));
+    }
+    // Goal configurations are a second choice: where followed paths are enough, they are not looked for.
+    if found.trajectories.len() < limit {
+        if !regrasps {
+            run.stage("goals", |run| run.find_goals(world, &mut holds))?;
+        }
+        let pairs = run.goal_pairs(&holds, &all_followed);
+        run.count("pairs", pairs.len());
+        let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
+            run.connect(world, &holds, pair, judge, steps)
+        };
+        run.collect(optimisation, &pairs, limit, &mut found, &connect)?;
+    }
     let missing = run.missing_goals(found.trajectories);
-    if task.file.goal.regrasps > 0 && !missing.is_empty() && found.trajectories.len() < config.limit
-    {
+    if regrasps && !missing.is_empty() && found.trajectories.len() < config.limit {
         let chains = run.stage("changes of grasp", |run| run.chains(world, &holds, &missing))?;
         let connect = |run: &Run<'_>, chain: &Chain, steps: &mut StepClock| {
             run.connect_chain(world, &holds, chain, judge, steps)
@@ -207,8 +230,10 @@ struct Pair {
     start: usize,
     goal_index: usize,
     goal: Vec<f64>,
-    /// Rank of this goal among those of its start: near ones first.
+    /// Rank of this goal among those of its start: the end that following leads to, then near ones.
     rank: usize,
+    /// Whether following the joint to this goal is nearly free of collisions.
+    promising: bool,
 }
 
 /// Durations of the steps of one pair.
@@ -289,7 +314,7 @@ impl Run<'_> {
         let result = work(self);
         let seconds = started.elapsed().as_secs_f64();
         self.observer.event(&Event::StageFinished { stage: name, seconds });
-        self.stage_seconds.insert(name.into(), seconds);
+        *self.stage_seconds.entry(name.into()).or_default() += seconds;
         result
     }
 
@@ -302,13 +327,13 @@ impl Run<'_> {
     }
 
     /// How many of the trajectories wanted are kept for goals that no pair reaches.
-    fn reserved(&self, pairs: &[Pair]) -> usize {
-        let goal = &self.task.file.goal;
-        if goal.regrasps == 0 {
-            return 0;
-        }
-        let goals = goal.positions.len();
-        let hopeless = (0..goals).filter(|g| pairs.iter().all(|p| p.goal_index != *g)).count();
+    fn reserved(&self, holds: &[Hold], followed: &[Pair]) -> usize {
+        let goals = self.task.file.goal.positions.len();
+        let reachable = |goal: usize| {
+            followed.iter().any(|p| p.goal_index == goal)
+                || holds.iter().any(|h| !h.starts.is_empty() && !h.goals[goal].is_empty())
+        };
+        let hopeless = (0..goals).filter(|&goal| !reachable(goal)).count();
         self.config.limit * hopeless / goals
     }
 
@@ -319,7 +344,7 @@ impl Run<'_> {
         goals.filter(|&(_, &goal)| !reached(goal)).map(|(index, _)| index).collect()
     }
 
-    /// Connects `items` until `limit` trajectories are accepted.
+    /// Connects `items` until `limit` trajectories are accepted. Gives the indices of the items they are of.
     fn collect<T: Sync>(
         &mut self,
         stage: &str,
@@ -327,7 +352,7 @@ impl Run<'_> {
         limit: usize,
         found: &mut Found<'_>,
         connect: &Connect<'_, T>,
-    ) -> Result<(), PlanError> {
+    ) -> Result<Vec<usize>, PlanError> {
         self.stage(stage, |run| run.collect_in_batches(stage, items, limit, found, connect))
     }
 
@@ -338,10 +363,11 @@ impl Run<'_> {
         limit: usize,
         found: &mut Found<'_>,
         connect: &Connect<'_, T>,
-    ) -> Result<(), PlanError> {
+    ) -> Result<Vec<usize>, PlanError> {
         self.observer.event(&Event::StageStarted { stage, total: Some(limit as u64) });
         let Found { trajectories: accepted, notes } = found;
-        for batch in items.chunks(BATCH) {
+        let mut indices = Vec::new();
+        for (batch, first) in items.chunks(BATCH).zip((0..).step_by(BATCH)) {
             if self.observer.cancelled() {
                 return Err(PlanError::Cancelled);
             }
@@ -353,7 +379,7 @@ impl Run<'_> {
                 (connect(self, item, &mut steps), steps)
             };
             let outcomes: Vec<(Outcome, StepClock)> = batch.par_iter().map(clocked).collect();
-            for (outcome, steps) in outcomes {
+            for ((outcome, steps), index) in outcomes.into_iter().zip(first..) {
                 self.count("pairs/tried", 1);
                 for (step, seconds) in steps.laps {
                     self.step_seconds.entry(step.into()).or_default().push(seconds);
@@ -375,6 +401,7 @@ impl Run<'_> {
                         None if accepted.len() < limit => {
                             trajectory.verdict = Some(verdict);
                             accepted.push(*trajectory);
+                            indices.push(index);
                         }
                         None => {}
                     },
@@ -382,7 +409,7 @@ impl Run<'_> {
             }
             self.observer.event(&Event::Progress { stage, done: accepted.len() as u64 });
         }
-        Ok(())
+        Ok(indices)
     }
 
     /// Optimises one pair and has the result judged.

@@ -1,5 +1,7 @@
 //! Which starts are connected with which goals.
 
+use std::collections::BTreeSet;
+
 use rayon::prelude::*;
 
 use super::{Hold, Pair, Run};
@@ -7,10 +9,10 @@ use crate::config::PlannerConfig;
 use crate::trajopt::Problem;
 use crate::world::World;
 
-/// Clearance of a followed path from which optimisation mostly finds a free one, metres; starts with less come after
-/// all others.
+/// Clearance of a followed path from which optimisation mostly finds a free one, metres.
 const PROMISING_M: f64 = -0.02;
-const UNPROMISING_RANK: usize = 100;
+/// Goal configurations that each start is paired with, for each position of the joint.
+const NEAREST_GOALS: usize = 3;
 
 impl Run<'_> {
     pub(super) fn problem<'b>(
@@ -36,58 +38,105 @@ impl Run<'_> {
         }
     }
 
-    /// Starts with goals: for each start the end that following the joint leads to, and the nearest of the
-    /// goal configurations; ordered so that grasps, starts and goals take turns.
-    pub(super) fn pairs(&mut self, world: &World, holds: &[Hold]) -> Vec<Pair> {
+    /// Starts with the ends that following the joint leads to: those whose way is nearly free come first, and
+    /// grasps, starts and goals take turns.
+    pub(super) fn followed_pairs(&self, world: &World, holds: &[Hold]) -> Vec<Pair> {
+        let mut pairs = self.of_each_start(holds, |hold, start, goal_index| {
+            let problem = self.problem(world, hold, self.config);
+            let q = self.task.file.goal.positions[goal_index];
+            let followed = problem.follow_with_clearance(start, q).into_iter();
+            followed.map(|(end, clearance)| (end, clearance > PROMISING_M)).collect()
+        });
+        self.in_turn(&mut pairs);
+        pairs
+    }
+
+    /// Starts with the nearest of the goal configurations, in the same order; `followed` counts towards the number of
+    /// pairs that a grasp may have.
+    pub(super) fn goal_pairs(&self, holds: &[Hold], followed: &[Pair]) -> Vec<Pair> {
         let yaw = (self.base() == 3).then_some(2);
-        let mut pairs: Vec<Pair> = holds
-            .par_iter()
-            .enumerate()
-            .flat_map_iter(|(hold_index, hold)| {
-                let problem = self.problem(world, hold, self.config);
-                let mut own = Vec::new();
-                for (start_index, start) in hold.starts.iter().enumerate() {
-                    for (goal_index, goals) in hold.goals.iter().enumerate() {
-                        let q = self.task.file.goal.positions[goal_index];
-                        let followed = problem.follow_with_clearance(start, q);
-                        let clear = followed
-                            .as_ref()
-                            .is_some_and(|(_, clearance)| *clearance > PROMISING_M);
-                        let followed = followed.map(|(end, _)| end);
-                        let mut ends: Vec<Vec<f64>> = goals.clone();
-                        ends.retain(|g| {
-                            yaw.is_none_or(|y| {
-                                (g[y] - start[y]).abs() <= self.config.max_base_yaw_rad
-                            })
-                        });
-                        let distance = |g: &Vec<f64>| -> f64 {
-                            g.iter().zip(start).map(|(a, b)| (a - b) * (a - b)).sum()
-                        };
-                        ends.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-                        ends.truncate(3);
-                        let ends = followed.into_iter().chain(ends);
-                        own.extend(ends.enumerate().map(|(rank, goal)| Pair {
-                            hold: hold_index,
-                            start: start_index,
-                            goal_index,
-                            goal,
-                            rank: if clear { rank } else { rank + UNPROMISING_RANK },
-                        }));
-                    }
-                }
-                own
-            })
-            .collect();
-        // Each start gets one goal before any gets its second, and goals take turns.
-        let goals = self.task.file.goal.positions.len();
-        let turn = |p: &Pair| (p.goal_index + goals - p.start % goals) % goals;
-        pairs.sort_by_key(|p| (p.rank, turn(p), p.start, p.hold));
+        let mut pairs = self.of_each_start(holds, |hold, start, goal_index| {
+            let mut ends: Vec<&Vec<f64>> = hold.goals[goal_index].iter().collect();
+            let turn = |g: &Vec<f64>, y: usize| (g[y] - start[y]).abs();
+            ends.retain(|g| yaw.is_none_or(|y| turn(g, y) <= self.config.max_base_yaw_rad));
+            let distance =
+                |g: &Vec<f64>| -> f64 { g.iter().zip(start).map(|(a, b)| (a - b) * (a - b)).sum() };
+            ends.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+            ends.into_iter().take(NEAREST_GOALS).map(|end| (end.clone(), true)).collect()
+        });
+        pairs.iter_mut().for_each(|pair| pair.rank += 1);
+        self.in_turn(&mut pairs);
         let mut per_hold = vec![0usize; holds.len()];
+        followed.iter().for_each(|pair| per_hold[pair.hold] += 1);
         let most = self.config.pairs_per_grasp * self.task.file.goal.positions.len();
-        pairs.retain(|p| {
-            per_hold[p.hold] += 1;
-            per_hold[p.hold] <= most
+        pairs.retain(|pair| {
+            per_hold[pair.hold] += 1;
+            per_hold[pair.hold] <= most
         });
         pairs
+    }
+
+    /// The pairs of every start and goal position; `ends` gives configurations in the order of their rank, and
+    /// whether the way there promises to be free.
+    fn of_each_start(
+        &self,
+        holds: &[Hold],
+        ends: impl Fn(&Hold, &[f64], usize) -> Vec<(Vec<f64>, bool)> + Sync,
+    ) -> Vec<Pair> {
+        let starts: Vec<(usize, usize)> = holds
+            .iter()
+            .enumerate()
+            .flat_map(|(hold, h)| (0..h.starts.len()).map(move |start| (hold, start)))
+            .collect();
+        let of_start =
+            |&(hold, start): &(usize, usize)| {
+                let mut own = Vec::new();
+                for goal_index in 0..self.task.file.goal.positions.len() {
+                    let ends = ends(&holds[hold], &holds[hold].starts[start], goal_index);
+                    own.extend(ends.into_iter().enumerate().map(|(rank, (goal, promising))| {
+                        Pair { hold, start, goal_index, goal, rank, promising }
+                    }));
+                }
+                own
+            };
+        starts.par_iter().flat_map_iter(of_start).collect()
+    }
+
+    fn in_turn(&self, pairs: &mut [Pair]) {
+        let goals = self.task.file.goal.positions.len();
+        let turn = |p: &Pair| (p.goal_index + goals - p.start % goals) % goals;
+        pairs.sort_by_key(|p| (!p.promising, p.rank, turn(p), p.start, p.hold));
+    }
+}
+
+/// Takes out of `pairs` the first of each start that is not among `reached`; all, where there is none.
+pub(super) fn next_round(pairs: &mut Vec<Pair>, reached: &BTreeSet<(usize, usize)>) -> Vec<Pair> {
+    let mut taken = reached.clone();
+    let (round, rest) =
+        pairs.drain(..).partition(|pair: &Pair| taken.insert((pair.hold, pair.start)));
+    *pairs = rest;
+    if round.is_empty() { std::mem::take(pairs) } else { round }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pair(start: usize, goal_index: usize) -> Pair {
+        Pair { hold: 0, start, goal_index, goal: Vec::new(), rank: 0, promising: true }
+    }
+
+    #[test]
+    fn every_start_comes_before_any_comes_again() {
+        let mut pairs: Vec<Pair> =
+            [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1)].map(|(s, g)| pair(s, g)).into();
+        let mut reached = BTreeSet::new();
+        let keys =
+            |pairs: &[Pair]| -> Vec<_> { pairs.iter().map(|p| (p.start, p.goal_index)).collect() };
+        assert_eq!(keys(&next_round(&mut pairs, &reached)), [(0, 0), (1, 0), (2, 0)]);
+        reached.insert((0, 0));
+        assert_eq!(keys(&next_round(&mut pairs, &reached)), [(1, 1)], "start 0 is done");
+        assert_eq!(keys(&next_round(&mut pairs, &reached)), [(0, 1)], "then its others");
+        assert!(next_round(&mut pairs, &reached).is_empty());
     }
 }

@@ -112,7 +112,7 @@ impl Run<'_> {
         Ok(batch.accepted.len() >= SCREENING_SOLUTIONS)
     }
 
-    /// Inverse kinematics at the start and at every goal, for every grasp; clustered.
+    /// Inverse kinematics at the start, for every grasp; clustered.
     pub(super) fn holds(
         &mut self,
         world: &World,
@@ -165,11 +165,27 @@ impl Run<'_> {
                 return Ok(None);
             }
         }
-        for (index, &goal) in task.file.goal.positions.iter().enumerate() {
-            let found = self.configurations(world, &akr, &hold, goal, index + 1)?;
-            hold.goals.push(found);
-        }
         Ok(Some(hold))
+    }
+
+    /// Inverse kinematics at every goal, for every grasp; clustered.
+    pub(super) fn find_goals(
+        &mut self,
+        world: &World,
+        holds: &mut [Hold],
+    ) -> Result<(), PlanError> {
+        let task = self.task;
+        for hold in holds {
+            if self.observer.cancelled() {
+                return Err(PlanError::Cancelled);
+            }
+            let akr = akr::assemble(&task.robot, &task.object, &hold.grasp)?;
+            for (index, &goal) in task.file.goal.positions.iter().enumerate() {
+                let found = self.configurations(world, &akr, hold, goal, index + 1)?;
+                hold.goals.push(found);
+            }
+        }
+        Ok(())
     }
 
     /// Clustered, collision-free configurations with the object's joint at `q`.
