@@ -288,8 +288,7 @@ impl RobotBody {
     pub fn base_is_free(&self, frames: &NodeFrames, world: &World, least: f64) -> bool {
         self.spheres.iter().filter(|s| s.on_base).all(|s| {
             let center = frames.frames[s.node].transform(&s.center);
-            world.fixed.is_beyond(&center, s.radius + least)
-                || world.fixed.distance(&center) - s.radius > least
+            world.fixed.exceeds(&center, s.radius + least)
         })
     }
 

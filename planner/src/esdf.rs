@@ -314,6 +314,12 @@ impl Esdf {
         value > least.max(0.0) + (HALF_DIAGONAL + far) * self.voxel_m
     }
 
+    /// True where the distance at `point` is more than `least`.
+    #[inline]
+    pub fn exceeds(&self, point: &Vector3<f64>, least: f64) -> bool {
+        self.is_beyond(point, least) || self.distance(point) > least
+    }
+
     /// Trilinear distance and its gradient.
     #[inline]
     pub fn distance_and_gradient(&self, point: &Vector3<f64>) -> (f64, Vector3<f64>) {

@@ -231,22 +231,22 @@ impl Surroundings {
     fn hand_is_free(&self, shape: &GripperShape, tool: &Frame) -> bool {
         let is_free = |p: &Vector3<f64>, least: f64| {
             let p = tool.transform(p);
-            self.others.distance(&p) > least && self.handle.distance(&p) > least
+            self.others.exceeds(&p, least) && self.handle.exceeds(&p, least)
         };
         shape.hand_points.iter().all(|p| is_free(p, HAND_CLEARANCE_M))
             && shape.hand_spheres.iter().all(|(c, r)| is_free(c, r + FINGER_CLEARANCE_M))
     }
 
     fn open_fingers_are_free(&self, shape: &GripperShape, tool: &Frame) -> bool {
-        let from_handle = |p: &Vector3<f64>| self.handle.distance(&tool.transform(p));
-        shape.finger_points.iter().all(|p| from_handle(p) > OPEN_CLEARANCE_M)
-            && self.fingers_avoid_others(shape, tool)
+        let off_handle =
+            |p: &Vector3<f64>| self.handle.exceeds(&tool.transform(p), OPEN_CLEARANCE_M);
+        shape.finger_points.iter().all(off_handle) && self.fingers_avoid_others(shape, tool)
     }
 
     fn fingers_avoid_others(&self, shape: &GripperShape, tool: &Frame) -> bool {
-        let from_others = |p: &Vector3<f64>| self.others.distance(&tool.transform(p));
-        shape.finger_points.iter().all(|p| from_others(p) > FINGER_CLEARANCE_M)
-            && shape.finger_spheres.iter().all(|(c, r)| from_others(c) > r + FINGER_CLEARANCE_M)
+        let is_free = |p: &Vector3<f64>, least: f64| self.others.exceeds(&tool.transform(p), least);
+        shape.finger_points.iter().all(|p| is_free(p, FINGER_CLEARANCE_M))
+            && shape.finger_spheres.iter().all(|(c, r)| is_free(c, r + FINGER_CLEARANCE_M))
     }
 }
 

@@ -232,8 +232,8 @@ struct Pair {
     goal: Vec<f64>,
     /// Rank of this goal among those of its start: the end that following leads to, then near ones.
     rank: usize,
-    /// Whether following the joint to this goal is nearly free of collisions.
-    promising: bool,
+    /// How free the way there is when the joint is merely followed.
+    promise: Promise,
 }
 
 /// Durations of the steps of one pair.
@@ -252,6 +252,14 @@ impl StepClock {
         self.laps.push((step, self.began.elapsed().as_secs_f64()));
         self.began = Instant::now();
     }
+}
+
+/// How likely a way is to become free of collisions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Promise {
+    Good,
+    Fair,
+    Poor,
 }
 
 /// What a run has found so far.

@@ -20,8 +20,10 @@ pub type Waypoints = Vec<Vec<f64>>;
 /// Weights of squared clearance hinges (per square metre), one round of optimisation each: the next round
 /// is for paths that are still too close to something.
 const CLEARANCE_WEIGHTS: [f64; 3] = [4e3, 4e4, 4e5];
-/// A path that is left this deep in something after a round is given up, metres.
-const HOPELESS_M: f64 = 0.06;
+/// A path that begins this deep in something is not tried, and one that is left this deep after a round is given up,
+/// metres. In a narrow kitchen and a closet, 6 of 391 and 2 of 444 such paths came to be free.
+const HOPELESS_START_M: f64 = 0.2;
+const HOPELESS_M: f64 = 0.03;
 /// A step that lowers the cost by less than this share is the last of its round.
 const LEAST_GAIN: f64 = 1e-3;
 /// Waypoints from one look at the clearance of a followed path to the next.
@@ -110,9 +112,14 @@ impl Problem<'_> {
         Some(x)
     }
 
-    /// Optimises in place: the first waypoint stays, the last keeps the object's joint.
+    /// Optimises in place: the first waypoint stays, the last keeps the object's joint. What there is no hope
+    /// for is left as it is.
     pub fn optimise(&self, path: &mut Waypoints) {
         let spare = self.config.clearance_m - self.config.min_clearance_m;
+        let deepest = path.iter().map(|x| self.waypoint_terms(x, 1.0).largest).fold(0.0, f64::max);
+        if deepest > HOPELESS_START_M {
+            return;
+        }
         for weight in CLEARANCE_WEIGHTS {
             let left = self.round(path, weight);
             if left < 0.8 * spare || left > HOPELESS_M {

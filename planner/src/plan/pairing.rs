@@ -4,13 +4,15 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use super::{Hold, Pair, Run};
+use super::{Hold, Pair, Promise, Run};
 use crate::config::PlannerConfig;
 use crate::trajopt::Problem;
 use crate::world::World;
 
-/// Clearance of a followed path from which optimisation mostly finds a free one, metres.
-const PROMISING_M: f64 = -0.02;
+/// Clearances of a followed path from which optimisation nearly always finds a free one, and about every second
+/// time, metres. With less it is one of ten.
+const GOOD_M: f64 = -0.02;
+const FAIR_M: f64 = -0.12;
 /// Goal configurations that each start is paired with, for each position of the joint.
 const NEAREST_GOALS: usize = 3;
 
@@ -45,7 +47,7 @@ impl Run<'_> {
             let problem = self.problem(world, hold, self.config);
             let q = self.task.file.goal.positions[goal_index];
             let followed = problem.follow_with_clearance(start, q).into_iter();
-            followed.map(|(end, clearance)| (end, clearance > PROMISING_M)).collect()
+            followed.map(|(end, clearance)| (end, promise(clearance))).collect()
         });
         self.in_turn(&mut pairs);
         pairs
@@ -62,7 +64,7 @@ impl Run<'_> {
             let distance =
                 |g: &Vec<f64>| -> f64 { g.iter().zip(start).map(|(a, b)| (a - b) * (a - b)).sum() };
             ends.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-            ends.into_iter().take(NEAREST_GOALS).map(|end| (end.clone(), true)).collect()
+            ends.into_iter().take(NEAREST_GOALS).map(|end| (end.clone(), Promise::Good)).collect()
         });
         pairs.iter_mut().for_each(|pair| pair.rank += 1);
         self.in_turn(&mut pairs);
@@ -77,35 +79,47 @@ impl Run<'_> {
     }
 
     /// The pairs of every start and goal position; `ends` gives configurations in the order of their rank, and
-    /// whether the way there promises to be free.
+    /// how likely the way there is to become free.
     fn of_each_start(
         &self,
         holds: &[Hold],
-        ends: impl Fn(&Hold, &[f64], usize) -> Vec<(Vec<f64>, bool)> + Sync,
+        ends: impl Fn(&Hold, &[f64], usize) -> Vec<(Vec<f64>, Promise)> + Sync,
     ) -> Vec<Pair> {
         let starts: Vec<(usize, usize)> = holds
             .iter()
             .enumerate()
             .flat_map(|(hold, h)| (0..h.starts.len()).map(move |start| (hold, start)))
             .collect();
-        let of_start =
-            |&(hold, start): &(usize, usize)| {
-                let mut own = Vec::new();
-                for goal_index in 0..self.task.file.goal.positions.len() {
-                    let ends = ends(&holds[hold], &holds[hold].starts[start], goal_index);
-                    own.extend(ends.into_iter().enumerate().map(|(rank, (goal, promising))| {
-                        Pair { hold, start, goal_index, goal, rank, promising }
-                    }));
-                }
-                own
-            };
+        let of_start = |&(hold, start): &(usize, usize)| {
+            let mut own = Vec::new();
+            for goal_index in 0..self.task.file.goal.positions.len() {
+                let ends = ends(&holds[hold], &holds[hold].starts[start], goal_index);
+                own.extend(ends.into_iter().enumerate().map(|(rank, (goal, promise))| Pair {
+                    hold,
+                    start,
+                    goal_index,
+                    goal,
+                    rank,
+                    promise,
+                }));
+            }
+            own
+        };
         starts.par_iter().flat_map_iter(of_start).collect()
     }
 
     fn in_turn(&self, pairs: &mut [Pair]) {
         let goals = self.task.file.goal.positions.len();
         let turn = |p: &Pair| (p.goal_index + goals - p.start % goals) % goals;
-        pairs.sort_by_key(|p| (!p.promising, p.rank, turn(p), p.start, p.hold));
+        pairs.sort_by_key(|p| (p.promise, p.rank, turn(p), p.start, p.hold));
+    }
+}
+
+fn promise(clearance_m: f64) -> Promise {
+    match clearance_m {
+        good if good > GOOD_M => Promise::Good,
+        fair if fair > FAIR_M => Promise::Fair,
+        _ => Promise::Poor,
     }
 }
 
@@ -123,7 +137,7 @@ mod tests {
     use super::*;
 
     fn pair(start: usize, goal_index: usize) -> Pair {
-        Pair { hold: 0, start, goal_index, goal: Vec::new(), rank: 0, promising: true }
+        Pair { hold: 0, start, goal_index, goal: Vec::new(), rank: 0, promise: Promise::Good }
     }
 
     #[test]
