@@ -31,7 +31,7 @@ demo: build
 
 # All tests, Rust and Python, with a private software Vulkan driver where the machine has none.
 test: build
-	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[physics,sapien,test,video]"
+	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[export,physics,sapien,test,video]"
 	environment="$$(scripts/vulkan.sh)" && eval "$$environment" && \
 	    cargo test --release $(CARGO_TEST_FLAGS) && \
 	    AKROBAT_SAMPLE_DATASET=$(CURDIR)/target/release/examples/sample_dataset pytest $(PYTEST_FLAGS)

@@ -1,8 +1,11 @@
 //! What only Python can do, behind one trait that the Python package implements and hands in.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use akrobat_model::TrajectorySet;
 use akrobat_packager::audit_file::EpisodeAudit;
+use akrobat_packager::export::{ExportFormat, ExportHeader, Sink};
+use akrobat_packager::import::Recordings;
 use akrobat_renderer::{Backend, RenderError};
 
 use crate::Error;
@@ -42,4 +45,27 @@ pub trait Host: Sync {
         job: &EvalJob,
         sink: &mut dyn FnMut(serde_json::Value) -> bool,
     ) -> Result<serde_json::Value, Error>;
+
+    /// A writer of a format that needs a Python library, into an empty folder.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where the library is not installed, with what to install.
+    fn export_sink(
+        &self,
+        format: ExportFormat,
+        folder: &Path,
+        header: &ExportHeader,
+    ) -> Result<Box<dyn Sink>, Error>;
+
+    /// Writes trajectories as AutoMoMa's `traj_data.pt`.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    fn write_traj_data(&self, file: &Path, set: &TrajectorySet) -> Result<(), Error>;
+
+    /// Reads AutoMoMa's `traj_data.pt`.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where the file is not of that kind.
+    fn read_traj_data(&self, file: &Path) -> Result<Recordings, Error>;
 }

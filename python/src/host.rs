@@ -1,13 +1,17 @@
 //! What the Python package does for the command line.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use akrobat::pipeline::{EvalJob, ReplayJob};
 use akrobat::{Error, Host};
+use akrobat_model::TrajectorySet;
 use akrobat_packager::audit_file::EpisodeAudit;
+use akrobat_packager::export::{ExportFormat, ExportHeader, Sink};
+use akrobat_packager::import::Recordings;
 use akrobat_renderer::{Backend, RenderError};
 use pyo3::prelude::*;
 
+use crate::export::PythonSink;
 use crate::physics;
 use crate::sapien::SapienBackend;
 
@@ -41,5 +45,22 @@ impl Host for PythonHost {
         sink: &mut dyn FnMut(serde_json::Value) -> bool,
     ) -> Result<serde_json::Value, Error> {
         physics::evaluate(job, sink)
+    }
+
+    fn export_sink(
+        &self,
+        format: ExportFormat,
+        folder: &Path,
+        header: &ExportHeader,
+    ) -> Result<Box<dyn Sink>, Error> {
+        Ok(Box::new(PythonSink::open(format, folder, header)?))
+    }
+
+    fn write_traj_data(&self, file: &Path, set: &TrajectorySet) -> Result<(), Error> {
+        crate::export::write_traj_data(file, set)
+    }
+
+    fn read_traj_data(&self, file: &Path) -> Result<Recordings, Error> {
+        crate::export::read_traj_data(file)
     }
 }

@@ -3,6 +3,7 @@
 mod api;
 mod command_line;
 mod errors;
+mod export;
 mod host;
 mod interruptible;
 mod observer;

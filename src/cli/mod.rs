@@ -3,6 +3,8 @@
 mod bench;
 mod demo;
 mod eval;
+mod export;
+mod import;
 mod inspect;
 mod plan;
 mod render;
@@ -45,6 +47,9 @@ enum Command {
     Render(render::RenderArgs),
     Replay(replay::ReplayArgs),
     Eval(eval::EvalArgs),
+    Export(export::ExportArgs),
+    Card(export::CardArgs),
+    Import(import::ImportArgs),
     Inspect(inspect::InspectArgs),
     Validate(validate::ValidateArgs),
     Schema(schema::SchemaArgs),
@@ -101,6 +106,9 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Render(args) => render::run(args, context),
         Command::Replay(args) => replay::run(args, context),
         Command::Eval(args) => eval::run(args, context),
+        Command::Export(args) => export::run(args, context),
+        Command::Card(args) => export::run_card(args, context),
+        Command::Import(args) => import::run(args, context),
         Command::Validate(args) => validate::run(args),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Schema(args) => schema::run(args),

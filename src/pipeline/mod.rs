@@ -3,6 +3,8 @@
 mod bench_plan;
 mod demo;
 mod evaluate;
+mod export;
+mod import;
 mod plan;
 mod planned;
 mod render;
@@ -20,6 +22,8 @@ use crate::{Error, Host};
 pub use bench_plan::{PlanBenchReport, PlanBenchRequest, ProblemResult, bench_plan};
 pub use demo::{DemoReport, DemoRequest, DemoRobotChoice, DemoTask, demo};
 pub use evaluate::{EvalJob, evaluate};
+pub use export::{ExportReport, ExportRequest, card, export};
+pub use import::{ImportReport, ImportRequest, import};
 pub use plan::{PlanReport, PlanRequest, plan};
 pub use planned::planned_task;
 use planned::selection;

@@ -134,12 +134,12 @@ impl From<PlanError> for Error {
     }
 }
 
-fn absolute(folder: &Path) -> Result<PathBuf, Error> {
+pub(super) fn absolute(folder: &Path) -> Result<PathBuf, Error> {
     Ok(folder.canonicalize().map_err(|e| ModelError::read(folder, e))?)
 }
 
 /// Path from one folder to another, so that trajectory and task can move together.
-fn relative_folder(from: &Path, to: &Path) -> Result<String, Error> {
+pub(super) fn relative_folder(from: &Path, to: &Path) -> Result<String, Error> {
     let (from, to) = (absolute(from)?, absolute(to)?);
     let shared = from.components().zip(to.components()).take_while(|(a, b)| a == b).count();
     let up = from.components().skip(shared).map(|_| Component::ParentDir);

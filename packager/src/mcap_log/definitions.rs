@@ -8,7 +8,29 @@ struct Interface {
     needs: &'static [&'static str],
 }
 
-const INTERFACES: [Interface; 13] = [
+const INTERFACES: [Interface; 16] = [
+    Interface {
+        name: "trajectory_msgs/msg/JointTrajectory",
+        fields: "std_msgs/Header header\nstring[] joint_names\n\
+                 trajectory_msgs/JointTrajectoryPoint[] points\n",
+        needs: &[
+            "std_msgs/msg/Header",
+            "builtin_interfaces/msg/Time",
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            "builtin_interfaces/msg/Duration",
+        ],
+    },
+    Interface {
+        name: "trajectory_msgs/msg/JointTrajectoryPoint",
+        fields: "float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\n\
+                 float64[] effort\nbuiltin_interfaces/Duration time_from_start\n",
+        needs: &[],
+    },
+    Interface {
+        name: "builtin_interfaces/msg/Duration",
+        fields: "int32 sec\nuint32 nanosec\n",
+        needs: &[],
+    },
     Interface {
         name: "sensor_msgs/msg/CompressedImage",
         fields: "std_msgs/Header header\nstring format\nuint8[] data\n",

@@ -5,8 +5,8 @@
 //! are attachments, everything else that is known of the episode stands in metadata records. Stamps count
 //! from the start of the trajectory.
 
-mod cdr;
-mod definitions;
+pub(crate) mod cdr;
+pub(crate) mod definitions;
 mod messages;
 
 use std::collections::BTreeMap;

@@ -17,7 +17,7 @@
 //! order, so the bytes do not depend on the number of threads.
 
 pub(crate) mod codec;
-mod series;
+pub(crate) mod series;
 
 use std::path::Path;
 
