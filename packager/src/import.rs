@@ -189,7 +189,7 @@ impl Reader<'_> {
 
     fn joints_of_state(&self, place: &str) -> Result<Positions> {
         let (values, columns) = self.table(place)?;
-        if columns <= MANISKILL_ROOT || (columns - MANISKILL_ROOT) % 2 != 0 {
+        if columns <= MANISKILL_ROOT || !(columns - MANISKILL_ROOT).is_multiple_of(2) {
             let expected = format!("{MANISKILL_ROOT} + 2 n columns");
             return Err(PackError::content(self.path, place, expected, columns.to_string()));
         }
@@ -210,7 +210,7 @@ impl Reader<'_> {
             },
         };
         let [rows, columns] = [shape[0], shape[1]];
-        if rows < 2 || rows > MAX_ROWS || columns == 0 {
+        if !(2..=MAX_ROWS).contains(&rows) || columns == 0 {
             let expected = format!("2 to {MAX_ROWS} rows of joint positions");
             return Err(PackError::content(self.path, place, expected, format!("{shape:?}")));
         }

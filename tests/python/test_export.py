@@ -1,5 +1,5 @@
-"""Exports hold what the dataset holds, by each format's own reader or, where that needs a heavy library,
-by the library that the reader stands on (the readers themselves: `make test-readers`).
+"""Exports hold what the dataset holds, by each format's own reader or, where that is heavy, by the
+library that it stands on (the heavy readers: `make test-readers`).
 
 Every comparison has a negative control: a flipped channel order or a wrong unit fails it.
 """
@@ -422,7 +422,7 @@ def test_joint_trajectories_for_ros2(dataset, tmp_path):
     names = list(episode.attributes["robot_joints"])
     text = YAML(typ="safe").load(output / "episode_0.yaml")
     assert list(text) == ["base", "arm", "gripper"]
-    assert sum((text[group]["joint_names"] for group in text), []) == names
+    assert [name for group in text.values() for name in group["joint_names"]] == names
     points = [text[group]["points"] for group in text]
     positions = np.hstack([[p["positions"] for p in group] for group in points])
     assert matches(positions.astype(np.float32), episode["obs/joint_pos"])
@@ -448,7 +448,6 @@ def test_lerobot_by_pyarrow_and_pyav(dataset, tmp_path):
     assert info["total_episodes"] == len(dataset.episodes)
     rows = pq.read_table(output / "data" / "chunk-000" / "file-000.parquet")
     entries = pq.read_table(output / "meta" / "episodes").to_pylist()
-    codes = DepthCodes()
     for entry, episode in zip(entries, dataset.episodes, strict=True):
         part = rows.slice(entry["dataset_from_index"], entry["length"])
         for key, expected in (("action", "actions"), ("observation.state", "obs/joint_pos")):
@@ -456,10 +455,11 @@ def test_lerobot_by_pyarrow_and_pyav(dataset, tmp_path):
         cloud = np.array(part["point_cloud"].to_pylist()[0], np.float32)
         assert matches(cloud, episode["point_cloud"][0])
         for camera in cameras_of(episode):
-            check_lerobot_camera(output, entry, part, episode, camera, codes)
+            check_lerobot_camera(output, entry, part, episode, camera)
 
 
-def check_lerobot_camera(output, entry, part, episode, camera, codes):
+def check_lerobot_camera(output, entry, part, episode, camera):
+    codes = DepthCodes()
     rgb = video(output, entry, f"observation.images.{camera}", "rgb24").astype(int)
     expected = episode[f"camera_obs/{camera}_rgb"].astype(int)
     assert rgb.shape == expected.shape
@@ -517,7 +517,10 @@ def test_lerobot_fills_files_and_folders(tmp_path):
         writer.end()
     writer.finish()
     for folder in ("data", "videos/observation.images.eye", "videos/observation.images.eye_depth"):
-        files = sorted(str(f.relative_to(tmp_path / folder).with_suffix("")) for f in (tmp_path / folder).rglob("file-*"))
+        files = sorted(
+            str(f.relative_to(tmp_path / folder).with_suffix(""))
+            for f in (tmp_path / folder).rglob("file-*")
+        )
         assert files == ["chunk-000/file-000", "chunk-000/file-001", "chunk-001/file-000"]
     entries = pq.read_table(tmp_path / "meta" / "episodes").to_pylist()
     assert [e["data/chunk_index"] for e in entries] == [0, 0, 1]

@@ -280,6 +280,9 @@ mod tests {
     use akrobat_model::pose;
     use std::f64::consts::{FRAC_PI_2, PI};
 
+    /// Turn of the tool about y in the base's frame, rad.
+    const TILT: f64 = 1.0;
+
     struct Sample {
         joints: Vec<String>,
         time_s: Vec<f64>,
@@ -297,7 +300,7 @@ mod tests {
         let base = rows.map(|r| {
             pose::from_xyz_rpy([r[0] as f64, r[1] as f64, 0.0], [0.0, 0.0, f64::from(r[2])])
         });
-        let tool = base.map(|b| b * pose::from_xyz_rpy([0.6, 0.0, 1.0], [0.0, PI, 0.0]));
+        let tool = base.map(|b| b * pose::from_xyz_rpy([0.6, 0.0, 1.0], [0.0, TILT, 0.0]));
         Sample {
             joints: ["x", "y", "yaw", "arm", "f1", "f2"].map(String::from).into(),
             time_s: vec![0.0, 0.5],
@@ -385,8 +388,9 @@ mod tests {
                 ExportConfig { actions: ActionKind::EefPose, quat, ..ExportConfig::default() };
             motion(&s).actions(&config).values[3..10].to_vec()
         };
-        assert_close(&pose(QuatOrder::Wxyz), &[0.6, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0]);
-        assert_close(&pose(QuatOrder::Xyzw), &[0.6, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
+        let (w, y) = ((TILT / 2.0).cos(), (TILT / 2.0).sin());
+        assert_close(&pose(QuatOrder::Wxyz), &[0.6, 0.0, 1.0, w, 0.0, y, 0.0]);
+        assert_close(&pose(QuatOrder::Xyzw), &[0.6, 0.0, 1.0, 0.0, y, 0.0, w]);
     }
 
     #[test]

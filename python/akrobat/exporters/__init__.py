@@ -1,7 +1,8 @@
 """Writers of export formats that need a Python library.
 
-The compiled half of the package reads the dataset, expresses actions and states as asked for, and calls
-a :class:`Writer`: for each episode `begin`, `frames` until all are through, `end`; at last `finish`.
+The compiled half of the package reads the dataset, expresses actions and states as asked for, and
+calls a :class:`Writer`: for each episode `begin`, `frames` until all are through, `end`; at last
+`finish`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Depth as 12-bit codes, which LeRobot's depth videos hold.
 
-LeRobot maps depth d (metres) to `4095 * (ln(d + s) - ln(near + s)) / (ln(far + s) - ln(near + s))`, rounded. The
-codes are coded without loss, so the error is half a code: `(d + s) * 1.65e-4` metres with the
-defaults, 0.7 mm at 1 m. Code 0 means 10 mm, not invalid: validity is stored beside the video.
+LeRobot maps depth d (metres) to `4095 * (ln(d + s) - ln(near + s)) / (ln(far + s) - ln(near + s))`,
+rounded. The codes are coded without loss, so the error is half a code: `(d + s) * 1.65e-4` metres
+with the defaults, 0.7 mm at 1 m. Code 0 means 10 mm, not invalid: validity is stored beside the
+video.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Topics: `/camera/<name>/color` (RawImage, `rgb8`), `/camera/<name>/depth` (RawImage, `16UC1` in
 millimetres), `/camera/<name>/calibration` (CameraCalibration), `/points` (PointCloud with colours),
-`/tf` (FrameTransforms), `/joint_states` (JointStates). Stamps count from the start of the trajectory.
+`/tf` (FrameTransforms), `/joint_states` (JointStates). Stamps count from the trajectory's start.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ class FoxgloveWriter:
             for camera in self._cameras:
                 self._log_images(camera, frame, offset, arrays)
             if "point_cloud" in arrays:
-                self._log("/points", frame, _cloud(self._stamp(frame), arrays["point_cloud"][offset]))
+                self._log(
+                    "/points", frame, _cloud(self._stamp(frame), arrays["point_cloud"][offset])
+                )
 
     def end(self) -> None:
         """Completes the log."""
@@ -162,7 +164,7 @@ def _add_transform(
 
 
 def _wxyz_of(rotation: NDArray[Any]) -> NDArray[np.float64]:
-    """Quaternion of a rotation matrix, by the eigenvector of the largest eigenvalue of Bar-Itzhack's K
+    """Quaternion of a rotation matrix: the eigenvector of the largest eigenvalue of Bar-Itzhack's K
     (Journal of Guidance 23(6), 2000).
     """
     r = np.asarray(rotation, np.float64)

@@ -1,11 +1,12 @@
 """LeRobotDataset v3.0, written with pyarrow and PyAV; the `lerobot` package is not needed.
 
-What policies take has LeRobot's names: `observation.state`, `action`, `observation.images.<camera>` (h264) and
-`observation.images.<camera>_depth` (12-bit HEVC without loss; see :mod:`akrobat.exporters.depth_codes`).
-Everything else has names of its own, so that LeRobot hands no policy what it does not expect:
-`depth_valid.<camera>` (one bit a pixel, rows packed as `numpy.packbits` does it), `point_cloud`
-`[points, 6]`, `camera.<camera>.intrinsics` `[9]`, `camera.<camera>.world_from_camera` `[16]`, `eef_pose`
-`[7]`, `base_pose` `[7]`, `object_position`, `phase` and `time`.
+What policies take has LeRobot's names: `observation.state`, `action`, `observation.images.<camera>`
+(h264) and `observation.images.<camera>_depth` (12-bit HEVC without loss; see
+:mod:`akrobat.exporters.depth_codes`). Everything else has names of its own, so that LeRobot hands
+no policy what it does not expect: `depth_valid.<camera>` (one bit a pixel, rows packed as
+`numpy.packbits` does it), `point_cloud` `[points, 6]`, `camera.<camera>.intrinsics` `[9]`,
+`camera.<camera>.world_from_camera` `[16]`, `eef_pose` `[7]`, `base_pose` `[7]`, `object_position`,
+`phase` and `time`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
-# Every second frame is a key frame, as LeRobot's own encoder does it: policies read frames at random.
+# Every second frame is a key frame, as LeRobot encodes: policies read frames at random.
 KEY_FRAME_INTERVAL = 2
 COLOR_CRF = 18
 
@@ -62,9 +63,7 @@ class Place:
 class LeRobotWriter:
     """Writes a dataset folder."""
 
-    def __init__(
-        self, folder: Path, header: dict[str, Any], limits: Limits | None = None
-    ) -> None:
+    def __init__(self, folder: Path, header: dict[str, Any], limits: Limits | None = None) -> None:
         self._folder = folder
         self._header = header
         self._limits = limits or Limits()
@@ -86,11 +85,10 @@ class LeRobotWriter:
         for camera in self._cameras:
             size = (camera["width"], camera["height"])
             key = f"observation.images.{camera['name']}"
-            self._videos[key] = VideoFiles(self._folder, key, self._fps, size, self._limits, None)
-            depth = f"{key}_depth"
-            self._videos[depth] = VideoFiles(
-                self._folder, depth, self._fps, size, self._limits, self._codes
-            )
+            for name, codes in ((key, None), (f"{key}_depth", self._codes)):
+                self._videos[name] = VideoFiles(
+                    self._folder, name, self._fps, size=size, limits=self._limits, codes=codes
+                )
         for key, video in self._videos.items():
             self._features[key] = video.feature()
 
@@ -251,6 +249,7 @@ class VideoFiles:
         folder: Path,
         key: str,
         fps: int,
+        *,
         size: tuple[int, int],
         limits: Limits,
         codes: DepthCodes | None,

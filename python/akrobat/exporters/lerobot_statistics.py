@@ -38,8 +38,8 @@ def of_images(images: NDArray[Any], scale: float) -> dict[str, Any]:
 
 
 def aggregate(episodes: list[EpisodeStatistics]) -> EpisodeStatistics:
-    """Statistics over all episodes; quantiles are means weighted by the episodes' lengths, as LeRobot
-    combines them.
+    """Statistics over all episodes; quantiles are means weighted by the episodes' lengths, as
+    LeRobot combines them.
     """
     combined: EpisodeStatistics = {}
     for key in episodes[0] if episodes else ():

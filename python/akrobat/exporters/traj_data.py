@@ -1,8 +1,8 @@
 """AutoMoMa's `traj_data.pt`: tensors in PyTorch's zip format, written and read without PyTorch.
 
 Keys: `start_robot [N, C]`, `start_obj [N, 1]`, `goal_robot`, `goal_obj`, `traj_robot [N, T, C]`,
-`traj_obj [N, T, 1]`, `traj_success [N]`, `grasp_id [N]`, `grasp_pose [N, 7]`, `goal_angle [N]`, and the
-texts `scene_id` and `object_id`. Robot columns are base x, y, yaw, arm, fingers.
+`traj_obj [N, T, 1]`, `traj_success [N]`, `grasp_id [N]`, `grasp_pose [N, 7]`, `goal_angle [N]`, and
+the texts `scene_id` and `object_id`. Robot columns are base x, y, yaw, arm, fingers.
 
 A `.pt` file holds a pickle, and a pickle can run anything when it is loaded. The reader here knows
 tensors, ordered dictionaries and plain values, and refuses everything else.
@@ -87,7 +87,7 @@ def _pickle(payload: Mapping[str, NDArray[Any] | str]) -> bytes:
         _write_text(out, str(number))
         _write_text(out, "cpu")
         _write_int(out, value.size)
-        # The tuple identifies the storage; then its offset, the shape, the strides, no gradient, no hooks.
+        # The tuple names the storage; then offset, shape, strides, no gradient, no hooks.
         out.write(b"tQ")
         _write_int(out, 0)
         _write_ints(out, value.shape)
@@ -250,9 +250,7 @@ class _Unpickler(pickle.Unpickler):
         return self._storage(pid)
 
 
-def _rebuild(
-    storage: NDArray[Any], offset: int, shape: Any, strides: Any, *_: Any
-) -> NDArray[Any]:
+def _rebuild(storage: NDArray[Any], offset: int, shape: Any, strides: Any, *_: Any) -> NDArray[Any]:
     """An array from a storage, with every element checked to lie inside."""
     shape, strides = tuple(shape), tuple(strides)
     if len(shape) != len(strides) or min((offset, *shape, *strides)) < 0:

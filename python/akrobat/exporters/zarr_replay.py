@@ -31,7 +31,7 @@ class ReplayBufferWriter:
     def __init__(self, folder: Path, header: dict[str, Any], *, images: bool) -> None:
         if int(zarr.__version__.split(".")[0]) != 2:
             raise InputError(
-                f"the replay buffers' own readers need zarr 2, here is {zarr.__version__}; {INSTALL}"
+                f"the readers of replay buffers need zarr 2, here is {zarr.__version__}; {INSTALL}"
             )
         self._images = images
         self._root = zarr.open_group(str(folder / FILE), mode="w")
