@@ -232,6 +232,7 @@ impl Converter<'_> {
             waypoint_interval_s: substeps as f64 * self.interval_s,
             manipulation_start: from as u32,
             substeps: substeps as u32,
+            regrasps: Vec::new(),
             dense,
             verdict: None,
         })
