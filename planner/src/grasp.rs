@@ -104,12 +104,17 @@ fn sample_antipodal(object: &ManipulatedObject, open_width_m: f64, seed: u64) ->
     let center = world_from_link.inverse_transform(&handle_center(object));
     let out_direction = outward(object, &handle_center(object));
     let inward = -world_from_link.rotation.tr_mul(&out_direction);
-    for _ in 0..SURFACE_POINTS {
-        let (point, normal) = random_surface_point(&triangles, &areas, &mut rng);
+    let points: Vec<_> =
+        (0..SURFACE_POINTS).map(|_| random_surface_point(&triangles, &areas, &mut rng)).collect();
+    let opposites: Vec<_> = points
+        .par_iter()
+        .map(|(point, normal)| opposite_point(&triangles, point, normal))
+        .collect();
+    for ((point, normal), opposite) in points.into_iter().zip(opposites) {
         let inside_region = object
             .handle_region
             .is_none_or(|r| (0..3).all(|i| point[i] >= r[i] && point[i] <= r[i + 3]));
-        let Some((width, opposite)) = opposite_point(&triangles, &point, &normal) else { continue };
+        let Some((width, opposite)) = opposite else { continue };
         let aligned = opposite.dot(&normal).abs();
         if !inside_region
             || width > open_width_m - OPENING_SPARE_M
@@ -311,12 +316,17 @@ fn rigid_with_tool(robot: &Robot, link: usize) -> bool {
 fn diverse<'a>(candidates: &[&'a Candidate], count: usize) -> Vec<&'a Candidate> {
     let Some(first) = candidates.first() else { return Vec::new() };
     let pool = candidates;
-    let apart = |a: &Candidate, b: &Candidate| {
+    // The smaller of `gap` and the distance of two candidates, whose angle is worked out only where it matters.
+    let nearer = |gap: f64, a: &Candidate, b: &Candidate| {
         let t = a.link_from_tool.translation.vector - b.link_from_tool.translation.vector;
+        let shift = t.norm() / 0.05;
+        if shift >= gap {
+            return gap;
+        }
         let r = a.link_from_tool.rotation.angle_to(&b.link_from_tool.rotation);
-        ((t.norm() / 0.05).powi(2) + (r / 0.5).powi(2)).sqrt()
+        gap.min(shift.hypot(r / 0.5))
     };
-    let mut gaps: Vec<f64> = pool.iter().map(|c| apart(c, first)).collect();
+    let mut gaps: Vec<f64> = pool.iter().map(|c| nearer(f64::INFINITY, c, first)).collect();
     let mut chosen = vec![*first];
     while chosen.len() < count {
         let Some(next) = (0..pool.len()).max_by(|&a, &b| gaps[a].total_cmp(&gaps[b])) else {
@@ -327,7 +337,7 @@ fn diverse<'a>(candidates: &[&'a Candidate], count: usize) -> Vec<&'a Candidate>
         }
         chosen.push(pool[next]);
         for (gap, candidate) in gaps.iter_mut().zip(pool) {
-            *gap = gap.min(apart(candidate, pool[next]));
+            *gap = nearer(*gap, candidate, pool[next]);
         }
     }
     chosen

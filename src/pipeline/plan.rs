@@ -96,23 +96,13 @@ fn plan_task(
     config: &PlannerConfig,
     observer: &dyn akrobat_model::events::Observer,
 ) -> Result<PlanReport, Error> {
-    let preparation = Preparation::new(task)?;
-    let spheres: Vec<RobotSphere> = preparation
-        .spheres
-        .spheres
-        .iter()
-        .map(|s| RobotSphere { link: s.link, center: s.center, radius: s.radius })
-        .collect();
     let began = std::time::Instant::now();
-    let (judge, world) = rayon::join(
-        || Judge::new(task, &spheres, &preparation.exceptions, JudgeConfig::default()),
-        || World::build(task, config),
-    );
-    let (judge, built_s) = (judge?, began.elapsed().as_secs_f64());
+    let (prepared, world) = rayon::join(|| prepare(task), || World::build(task, config));
+    let ((preparation, judge), prepared_s) = (prepared?, began.elapsed().as_secs_f64());
     let judge_one = |trajectory: &_| judge.judge(trajectory);
     let mut outcome =
         akrobat_planner::plan(task, &preparation, &world, config, observer, &judge_one)?;
-    outcome.stage_seconds.insert("distance field and judge".into(), built_s);
+    outcome.stage_seconds.insert("spheres, distance field and judge".into(), prepared_s);
     let loaded = task.object.notes.iter().chain(&task.scene.notes);
     Ok(PlanReport {
         set: outcome.set,
@@ -122,6 +112,19 @@ fn plan_task(
         sphere_fits: preparation.spheres.fits,
         notes: loaded.chain(judge.notes()).chain(&outcome.notes).cloned().collect(),
     })
+}
+
+/// Spheres and masks of the robot, and who judges what is planned with them.
+fn prepare(task: &Task) -> Result<(Preparation, Judge), Error> {
+    let preparation = Preparation::new(task)?;
+    let spheres: Vec<RobotSphere> = preparation
+        .spheres
+        .spheres
+        .iter()
+        .map(|s| RobotSphere { link: s.link, center: s.center, radius: s.radius })
+        .collect();
+    let judge = Judge::new(task, &spheres, &preparation.exceptions, JudgeConfig::default())?;
+    Ok((preparation, judge))
 }
 
 impl From<PlanError> for Error {
