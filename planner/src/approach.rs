@@ -10,8 +10,9 @@ use crate::collision::{MovingCheck, RobotBody};
 use crate::config::PlannerConfig;
 use crate::dense::{Limits, timed_spline};
 use crate::ik::{self, Tool};
+use crate::kernels::obstacles::Obstacles;
 use crate::kinematics::{Frame, Kinematics};
-use crate::ptp::Space;
+use crate::ptp::{Domain, Query, RobotSpace, Settings};
 use crate::trajopt::smooth;
 use crate::world::World;
 
@@ -223,7 +224,6 @@ impl ApproachPlanner<'_> {
     }
 
     fn free_path(&self, home: &[f64], pregrasp: &[f64], seed: u64) -> Option<Vec<Vec<f64>>> {
-        let valid = |x: &[f64]| self.free(x, MovingCheck::All);
         let base = self.robot.base_joints.len();
         let bound = |side: fn(f64, f64) -> f64, sign: f64, limits: &[f64]| -> Vec<f64> {
             (0..home.len())
@@ -236,14 +236,24 @@ impl ApproachPlanner<'_> {
                 })
                 .collect()
         };
-        let space = Space {
+        let domain = Domain {
             lower: bound(f64::min, -1.0, self.kinematics.lower()),
             upper: bound(f64::max, 1.0, self.kinematics.upper()),
             weights: vec![1.0; home.len()],
-            valid: &valid,
-            step: 0.4,
-            resolution: 0.06,
         };
-        space.plan(home, pregrasp, self.config.ptp_iterations, seed)
+        let mut obstacles = Obstacles::new();
+        obstacles.add_field(&Frame::identity(), &self.world.fixed);
+        let world_from_moved = self.world.joint.world_from_moved(self.object_q);
+        obstacles.add_field(&world_from_moved, &self.world.moving);
+        obstacles.set_floor(self.world.floor_z);
+        let settings = Settings { iterations: self.config.ptp_iterations, ..Settings::default() };
+        let space = RobotSpace {
+            validity: &self.body.validity(self.kinematics, self.config.min_clearance_m),
+            obstacles: &obstacles,
+            domain: &domain,
+            settings: &settings,
+        };
+        let query = Query { start: home.to_vec(), goal: pregrasp.to_vec(), seed };
+        space.plan(&query).ok().map(|found| found.path)
     }
 }

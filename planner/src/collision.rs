@@ -5,8 +5,9 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 
+use crate::kernels::validity::Validity;
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables};
-use crate::spheres::SphereModel;
+use crate::spheres::{Sphere, SphereModel};
 use crate::world::World;
 
 /// A sphere that hangs from a node.
@@ -277,6 +278,21 @@ impl RobotBody {
                 })
         };
         self.groups.iter().map(overlap).collect()
+    }
+
+    /// The same spheres and link pairs, compiled for searches in free space that keep `margin_m`.
+    pub fn validity(&self, kinematics: &Kinematics, margin_m: f64) -> Validity {
+        let in_link = |s: &NodeSphere| {
+            let node_from_link = Frame::from(&kinematics.attachment(s.link).node_from_link);
+            let center = node_from_link.inverse_transform(&s.center).into();
+            Sphere { link: s.link, center, radius: s.radius }
+        };
+        let spheres: Vec<Sphere> = self.spheres.iter().map(in_link).collect();
+        let link = |group: usize| self.spheres[self.bounds[group].first].link;
+        let pairs: LinkPairs = self.groups.iter().map(|g| (link(g.a), link(g.b))).collect();
+        let on_base = self.spheres.iter().find(|s| s.on_base);
+        let base_joints = on_base.map_or(0, |s| s.node + 1);
+        Validity::new(kinematics, &spheres, &pairs, base_joints, margin_m)
     }
 
     /// World centres of all spheres.

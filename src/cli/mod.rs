@@ -109,7 +109,7 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Export(args) => export::run(args, context),
         Command::Card(args) => export::run_card(args, context),
         Command::Import(args) => import::run(args, context),
-        Command::Validate(args) => validate::run(args),
+        Command::Validate(args) => validate::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Schema(args) => schema::run(args),
     }

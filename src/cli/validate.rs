@@ -7,29 +7,59 @@ use clap::Args;
 use serde_json::json;
 
 use super::Report;
+use crate::pipeline::{self, Context, JudgeRequest};
 use crate::{Error, ExitCode};
 
 /// Read a trajectory file or a dataset completely and report what is wrong with it.
 ///
 /// Examples:
 ///   akrobat validate drawer.h5
+///   akrobat validate drawer.h5 --judge       judge every trajectory again, on the task's files
 ///   akrobat validate dataset --json
 ///
-/// Exit code 0 where nothing is wrong, 3 where a dataset has problems, 2 where it cannot be read at all.
+/// Exit code 0 where nothing is wrong, 3 where a dataset has problems or a trajectory is refused, 2 where it
+/// cannot be read at all.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct ValidateArgs {
     /// Trajectory file or dataset folder.
     path: PathBuf,
+    /// Judge the trajectories again, whatever the file says about them.
+    #[arg(long)]
+    judge: bool,
+    /// Folder where assets are looked up for --judge, as for `akrobat plan`; may be repeated.
+    #[arg(long, value_name = "DIR", requires = "judge")]
+    assets: Vec<PathBuf>,
 }
 
 /// Runs the verb.
-pub fn run(args: &ValidateArgs) -> Result<Report, Error> {
-    if args.path.is_dir() {
-        validate_dataset(&args.path)
-    } else {
-        validate_trajectories(&args.path)
+pub fn run(args: &ValidateArgs, context: &Context<'_>) -> Result<Report, Error> {
+    match (args.path.is_dir(), args.judge) {
+        (true, true) => Err(Error::Usage(format!(
+            "{}: --judge expected a trajectory file, got a dataset",
+            args.path.display()
+        ))),
+        (true, false) => validate_dataset(&args.path),
+        (false, true) => judge_trajectories(args, context),
+        (false, false) => validate_trajectories(&args.path),
     }
+}
+
+fn judge_trajectories(args: &ValidateArgs, context: &Context<'_>) -> Result<Report, Error> {
+    let request = JudgeRequest { trajectories: args.path.clone(), assets: args.assets.clone() };
+    let judged = pipeline::judge(&request, context)?;
+    let refused: Vec<_> = judged.iter().filter(|j| !j.verdict.accepted()).collect();
+    let (count, good) = (judged.len(), judged.len() - refused.len());
+    let mut lines = vec![format!("{}: {good} of {count} trajectories pass", args.path.display())];
+    lines.extend(refused.iter().map(|j| {
+        let reason = j.verdict.rejection.map_or("", |r| r.name());
+        format!("  {}: {reason}: {}", j.id, j.verdict.detail)
+    }));
+    let exit_code = if refused.is_empty() { ExitCode::Done } else { ExitCode::Incomplete };
+    let verdicts: Vec<_> =
+        judged.iter().map(|j| json!({ "id": j.id, "verdict": j.verdict })).collect();
+    let json = json!({ "trajectories": count, "accepted": good, "verdicts": verdicts });
+    Ok(Report { text: lines.join("\n"), json, exit_code })
 }
 
 fn validate_trajectories(path: &Path) -> Result<Report, Error> {
