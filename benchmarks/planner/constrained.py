@@ -225,7 +225,9 @@ def main() -> int:
     parser.add_argument("task", type=Path, help="task file")
     parser.add_argument("--assets", type=Path, required=True, help="asset folder")
     parser.add_argument("--limit", type=int, default=20, help="trajectories")
-    parser.add_argument("--seconds", type=float, default=10.0, help="OMPL's CPU time for each query")
+    parser.add_argument(
+        "--seconds", type=float, default=10.0, help="OMPL's CPU time for each query"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     report = run(arguments.task, arguments.assets, arguments.limit, arguments.seconds)
