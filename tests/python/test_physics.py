@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 from akrobat import InputError
-from akrobat.physics import PhysicsConfig, Replayer
+from akrobat.physics import PhysicsConfig, Replayer, poses, replay
 from akrobat.physics.audit import EpisodeAudit
 from akrobat.physics.shapes import Detail, convex_pieces
 
@@ -123,6 +123,38 @@ def test_convex_pieces_say_how_wrong_they_are(
     assert [file.stat().st_mtime_ns for file in files] == stamp
 
 
+def test_poses_agree_with_their_formulas() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        a, b = rng.normal(size=(2, 7))
+        a[3:] /= np.linalg.norm(a[3:])
+        b[3:] /= np.linalg.norm(b[3:])
+        point, axis = rng.normal(size=(2, 3))
+        axis /= np.linalg.norm(axis)
+        # Rodrigues' formula with the quaternion's own angle and axis.
+        angle, about = 2.0 * np.arccos(a[3]), a[4:] / np.sin(np.arccos(a[3]))
+        turned = (
+            point * np.cos(angle)
+            + np.cross(about, point) * np.sin(angle)
+            + about * (about @ point) * (1.0 - np.cos(angle))
+        )
+        np.testing.assert_allclose(poses.transform(a, point), a[:3] + turned, atol=1e-12)
+        both = poses.transform(poses.compose(a, b), point)
+        np.testing.assert_allclose(both, poses.transform(a, poses.transform(b, point)), atol=1e-12)
+        back = poses.transform(poses.inverse(a), poses.transform(a, point))
+        np.testing.assert_allclose(back, point, atol=1e-12)
+        x_turned = poses.rotate(poses.rotation_from_x_to(axis), [1.0, 0.0, 0.0])
+        np.testing.assert_allclose(x_turned, axis, atol=1e-12)
+
+
+def test_processes_do_not_change_the_result(shared_assets: Path, drawer_file: Path) -> None:
+    audits = replay(drawer_file, assets=[shared_assets], workers=2)
+    assert [audit.episode for audit in audits] == [0, 1]
+    for audit in audits:
+        (alone,) = replay(drawer_file, episodes=[audit.episode], assets=[shared_assets])
+        assert alone.findings == audit.findings
+
+
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "akrobat", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
@@ -137,9 +169,9 @@ def test_the_command_writes_audit_and_page_and_renders_what_was_simulated(
     before = run("render", drawer_file, "-o", folder, "--states", "simulated", *tail)
     assert before.returncode == 2
     assert "akrobat replay" in before.stderr
-    replay = run("replay", drawer_file, "--episodes", "0", "--page", page, *tail)
-    assert replay.returncode == 0, replay.stderr
-    report = json.loads(replay.stdout)
+    replay_run = run("replay", drawer_file, "--episodes", "0", "--page", page, *tail)
+    assert replay_run.returncode == 0, replay_run.stderr
+    report = json.loads(replay_run.stdout)
     assert (report["episodes"], report["succeeded"], report["clean"]) == (1, 1, 1)
     audit_path = drawer_file.with_suffix(".audit.h5")
     with h5py.File(audit_path) as audit:

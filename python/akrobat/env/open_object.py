@@ -19,7 +19,7 @@ from akrobat.errors import InputError
 from akrobat.physics.audit import HANDLE_DISTANCE_M, OPENED_FRACTION, STRICT_HANDLE_DISTANCE_M
 from akrobat.physics.config import PhysicsConfig
 from akrobat.physics.controller import Controller
-from akrobat.physics.world import World
+from akrobat.physics.world import World, rest_positions
 
 StrPath = str | os.PathLike[str]
 Observation = dict[str, NDArray[Any]]
@@ -225,7 +225,7 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _rest(self) -> Start:
         robot = self.place.world.robot_description
-        rest = dict(zip(robot["dof_joints"], robot["rest"], strict=True))
+        rest = rest_positions(robot)
         return Start(np.array([rest[n] for n in self.joint_names]), self.place.task.goals[0], None)
 
     def _reset_world(self, start: Start) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from akrobat import _core
 from akrobat.physics import poses
 from akrobat.physics.controller import Controller
-from akrobat.physics.world import World
+from akrobat.physics.world import World, rest_positions
 
 Vector = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def drawn(
     goals."""
     robot = world.robot_description
     goal = float(rng.choice(goals))
-    rest = dict(zip(robot["dof_joints"], robot["rest"], strict=True))
+    rest = rest_positions(robot)
     handle, outward = _handle(world, goal)
     names = [*controller.arm_names, *controller.finger_names]
     arm_limits = {joint["name"]: joint["limits"] for joint in robot["joints"]}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from akrobat.physics.world import World
+from akrobat.physics.world import World, rest_positions
 
 Vector = NDArray[np.float64]
 
@@ -48,11 +48,12 @@ class Controller:
             if joint["velocity_limit"]:
                 # Drives do not exceed the speed that the robot's file allows.
                 world.robot.joint[joint["name"]].set_max_velocity(joint["velocity_limit"])
-        rest = dict(zip(robot["dof_joints"], robot["rest"], strict=True))
+        rest = rest_positions(robot)
         for name in self.gains:
             world.robot.joint[name].set_drive_target(rest[name])
         self._arm = [world.robot.joint[name] for name in self.arm_names]
         self._fingers = [world.robot.joint[name] for name in self.finger_names]
+        self._followers = _followers(world, self.finger_names)
         self._finger_columns = [world.robot.column[name] for name in self.finger_names]
         self._closed = np.asarray(robot["gripper_closed"], float)
         self._opening = np.asarray(robot["gripper_open"], float) - self._closed
@@ -65,8 +66,7 @@ class Controller:
 
     def open_fingers(self, target: Vector) -> None:
         """Moves the fingers to a position."""
-        for joint, position in zip(self._fingers, target, strict=True):
-            joint.set_drive_target(position)
+        self._drive_fingers(np.asarray(target, float))
 
     def hold(self) -> None:
         """Drives every joint to where it is: what a reset needs, before the first targets come."""
@@ -97,12 +97,28 @@ class Controller:
         wanted = float(np.min((np.asarray(target) - self._closed) / self._opening))
         stroke = float(np.abs(self._opening).min())
         beyond = min(fraction, wanted) - GRIP_SATURATION / stroke
-        for joint, closed, opening in zip(self._fingers, self._closed, self._opening, strict=True):
-            joint.set_drive_target(closed + beyond * opening)
+        self._drive_fingers(self._closed + beyond * self._opening)
+
+    def _drive_fingers(self, target: Vector) -> None:
+        for joint, position in zip(self._fingers, target, strict=True):
+            joint.set_drive_target(position)
+        for joint, finger, multiplier, offset in self._followers:
+            joint.set_drive_target(multiplier * target[finger] + offset)
 
 
 def _driven(world: World) -> list[dict[str, Any]]:
     return [j for j in world.robot_description["joints"] if j["name"] in world.robot.joint]
+
+
+def _followers(world: World, fingers: list[str]) -> list[tuple[Any, int, float, float]]:
+    """Joints that mimic a finger: the joint, the finger's number, factor and offset."""
+    found = []
+    for joint in _driven(world):
+        followed, multiplier, offset = joint["mimic"] or (None, 1.0, 0.0)
+        if followed in fingers:
+            driven = world.robot.joint[joint["name"]]
+            found.append((driven, fingers.index(followed), multiplier, offset))
+    return found
 
 
 def _gains(world: World, joint: dict[str, Any]) -> Gains:

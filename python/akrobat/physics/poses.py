@@ -12,8 +12,8 @@ IDENTITY: Vector = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 def quaternion_product(a: ArrayLike, b: ArrayLike) -> Vector:
     """Hamilton product of `[w x y z]`."""
-    aw, ax, ay, az = np.asarray(a, float)
-    bw, bx, by, bz = np.asarray(b, float)
+    aw, ax, ay, az = np.asarray(a, float).tolist()
+    bw, bx, by, bz = np.asarray(b, float).tolist()
     return np.array(
         [
             aw * bw - ax * bx - ay * by - az * bz,
@@ -24,12 +24,22 @@ def quaternion_product(a: ArrayLike, b: ArrayLike) -> Vector:
     )
 
 
+def rotation_matrix(quaternion: ArrayLike) -> Vector:
+    """The matrix `[3, 3]` of a unit quaternion `[w x y z]`."""
+    w, x, y, z = np.asarray(quaternion, float).tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
 def rotate(quaternion: ArrayLike, points: ArrayLike) -> Vector:
     """Points `[..., 3]` turned by `[w x y z]`."""
-    q = np.asarray(quaternion, float)
-    points = np.asarray(points, float)
-    t = 2.0 * np.cross(q[1:], points)
-    return points + q[0] * t + np.cross(q[1:], t)
+    turned: Vector = np.asarray(points, float) @ rotation_matrix(quaternion).T
+    return turned
 
 
 def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Vector:

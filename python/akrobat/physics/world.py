@@ -19,10 +19,10 @@ from akrobat.physics.shapes import Detail, convex_pieces, sample_surface
 
 Vector = NDArray[np.float64]
 
-# Collision groups of SAPIEN: two shapes meet where one's first word shares a bit with the other's
-# second, unless their third words share one (shapes of one articulation: judged geometrically, and
-# a convex piece of a door may overlap its frame).
-MEETS_ALL, FLOOR_BIT = 1, 2
+# Collision groups of SAPIEN: a shape's first word says what it is, its second what it meets. Two
+# shapes collide where one meets the other, unless their third words share a bit (shapes of one
+# articulation: judged geometrically, and a convex piece of a door may overlap its frame).
+SCENE, FLOOR, ROBOT, OBJECT = 1, 2, 4, 8
 ROBOT_ITSELF, OBJECT_ITSELF = 1, 2
 
 # What lies below this is floor, which the links of the base do not touch: its wheels roll on it.
@@ -32,6 +32,15 @@ FLOOR_TOP_M = 0.03
 DENSITY_KG_M3 = 500.0
 EMPTY_LINK_MASS_KG = 0.1
 EMPTY_LINK_INERTIA_KG_M2 = 1e-3
+
+# Joints with limits do not wrap at a turn. SAPIEN 3.0.3 takes `continuous` for fixed; a hinge
+# without limits is the same.
+JOINT_TYPES = {
+    "fixed": "fixed",
+    "revolute": "revolute_unwrapped",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+}
 
 HANDLE_SAMPLES = 500
 
@@ -148,10 +157,10 @@ class World:
         for body in bodies:
             component = physx.PhysxRigidStaticComponent()
             top = max((_top(body, part) for part in body["collisions"]), default=0.0)
-            bit = FLOOR_BIT if top <= FLOOR_TOP_M else MEETS_ALL
+            kind = FLOOR if top <= FLOOR_TOP_M else SCENE
             for part in body["collisions"]:
                 shape = self._static_shape(part)
-                shape.set_collision_groups([bit, bit, 0, 0])
+                shape.set_collision_groups([kind, 0, 0, 0])
                 component.attach(shape)
             entity = self.sapien.Entity()
             entity.name = body["name"]
@@ -173,12 +182,12 @@ class World:
     def _add_robot(self) -> Body:
         description = self.robot_description
         fingers = set(description["finger_links"])
-        base = _rigid_with_base(description)
+        base = _links_of_base(description)
 
         def attach(link: dict[str, Any], component: Any, errors: ShapeErrors) -> None:
             material = self._pad if link["name"] in fingers else self._surface
-            meets = MEETS_ALL if link["name"] in base else MEETS_ALL | FLOOR_BIT
-            groups = [meets, meets, ROBOT_ITSELF, 0]
+            meets = SCENE | OBJECT | (0 if link["name"] in base else FLOOR)
+            groups = [ROBOT, meets, ROBOT_ITSELF, 0]
             detail = Detail.FINE if link["name"] in fingers else Detail.HULL
             for part in link["collisions"]:
                 self._attach(component, part, material, groups, errors, detail=detail)
@@ -189,16 +198,18 @@ class World:
             link.set_disable_gravity(True)
         body.articulation.set_solver_position_iterations(16)
         positions = body.articulation.get_qpos()
-        for name, value in zip(description["dof_joints"], description["rest"], strict=True):
+        for name, value in rest_positions(description).items():
             positions[body.column[name]] = value
         body.articulation.set_qpos(positions)
         return body
 
     def _add_object(self) -> Body:
         description = self.object_description
+        still = _rigid_with_root(description)
 
         def attach(link: dict[str, Any], component: Any, errors: ShapeErrors) -> None:
-            groups = [MEETS_ALL | FLOOR_BIT, MEETS_ALL, OBJECT_ITSELF, 0]
+            # What does not move may well stand against walls.
+            groups = [OBJECT, 0 if link["name"] in still else SCENE | FLOOR, OBJECT_ITSELF, 0]
             held = link["name"] == description["handle_link"]
             detail = Detail.FINE if held else Detail.COARSE
             for part in link["collisions"] or link["visuals"]:
@@ -298,7 +309,7 @@ class World:
             return
         joint.name = description["name"]
         kind = description["kind"]
-        joint.type = {"revolute": "revolute_unwrapped", "continuous": "continuous"}.get(kind, kind)
+        joint.type = JOINT_TYPES[kind]
         # PhysX joints turn about, or slide along, x.
         joint_from_physx = np.concatenate(
             [np.zeros(3), poses.rotation_from_x_to(description["axis"])]
@@ -307,7 +318,7 @@ class World:
             poses.compose(description["parent_from_joint"], joint_from_physx)
         )
         joint.pose_in_child = self._pose(joint_from_physx)
-        if kind in ("revolute", "prismatic"):
+        if kind != "fixed":
             joint.limit = _float32(description["limits"]).reshape(1, 2)
         joint.set_friction(0.0)
 
@@ -329,6 +340,16 @@ def _cpu_system(physx: Any) -> Any:
         physx.set_scene_config(before)
 
 
+def rest_positions(robot: dict[str, Any]) -> dict[str, float]:
+    """Positions at rest of all the robot's movable joints, those that follow others included."""
+    rest: dict[str, float] = dict(zip(robot["dof_joints"], robot["rest"], strict=True))
+    for joint in robot["joints"]:
+        if joint["mimic"]:
+            followed, multiplier, offset = joint["mimic"]
+            rest[joint["name"]] = multiplier * rest[followed] + offset
+    return rest
+
+
 def as_array(pose: Any) -> Vector:
     """A pose of SAPIEN as `[x y z qw qx qy qz]`."""
     return np.concatenate([pose.p, pose.q]).astype(float)
@@ -343,13 +364,22 @@ def _top(body: dict[str, Any], part: dict[str, Any]) -> float:
     return float(poses.transform(world_from_part, part["positions"])[:, 2].max(initial=-np.inf))
 
 
-def _rigid_with_base(robot: dict[str, Any]) -> set[str]:
-    """Links that no joint separates from the mobile base."""
+def _links_of_base(robot: dict[str, Any]) -> set[str]:
+    """Links that neither arm nor fingers move: a mobile base, its wheels and what it carries."""
     if not robot["base_joints"]:
         return set()
-    incoming = {joint["name"]: joint for joint in robot["joints"]}
-    rigid = {incoming[robot["base_joints"][-1]]["child"]}
+    moving = {*robot["arm_joints"], *robot["gripper_joints"]}
+    carried = {robot["root"]}
     for joint in robot["joints"]:
+        if joint["parent"] in carried and joint["name"] not in moving:
+            carried.add(joint["child"])
+    return carried
+
+
+def _rigid_with_root(tree: dict[str, Any]) -> set[str]:
+    """Links that no joint moves."""
+    rigid = {tree["root"]}
+    for joint in tree["joints"]:
         if joint["kind"] == "fixed" and joint["parent"] in rigid:
             rigid.add(joint["child"])
     return rigid
