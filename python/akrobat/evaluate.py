@@ -54,21 +54,16 @@ class ReplayPolicy:
     def reset(self, observation: Observation, info: dict[str, Any]) -> None:
         """Loads the trial's trajectory."""
         from akrobat.env.open_object import RATE_HZ
-        from akrobat.physics.audit import MANIPULATE
+        from akrobat.physics.replay import Clock
 
         if info["trajectory"] is None:
             raise InputError("policy replay: it needs the starts of trajectory files (split seen)")
         file, index = info["trajectory"]
         trajectory = _core.Trajectories.read(Path(file))[index]
-        times_s, phase = trajectory.times_s, trajectory.phase
-        squeeze_s = self._env.config.squeeze_s
-        before = np.flatnonzero(phase < MANIPULATE)
-        grasped_s = float(times_s[before[-1]]) if len(before) else 0.0
+        clock = Clock(trajectory, self._env.config)
         # Targets are those that lead to the next observation.
-        wanted_s = np.arange(1, round((times_s[-1] + squeeze_s) * RATE_HZ) + 2) / RATE_HZ
-        path_s = np.where(
-            wanted_s <= grasped_s, wanted_s, np.maximum(wanted_s - squeeze_s, grasped_s)
-        )
+        wanted_s = np.arange(1, round(clock.real_s[-1] * RATE_HZ) + 1) / RATE_HZ
+        path_s, times_s = clock.planned(wanted_s), trajectory.times_s
         columns = trajectory.robot.astype(float).T
         self._targets = np.stack([np.interp(path_s, times_s, c) for c in columns], axis=1)
         self._step = 0

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import akrobat
@@ -15,6 +16,7 @@ import pytest
 from akrobat import InputError
 from akrobat.physics import PhysicsConfig, Replayer, poses, replay
 from akrobat.physics.audit import EpisodeAudit
+from akrobat.physics.replay import timeline
 from akrobat.physics.shapes import Detail, convex_pieces
 
 
@@ -145,6 +147,26 @@ def test_poses_agree_with_their_formulas() -> None:
         np.testing.assert_allclose(back, point, atol=1e-12)
         x_turned = poses.rotate(poses.rotation_from_x_to(axis), [1.0, 0.0, 0.0])
         np.testing.assert_allclose(x_turned, axis, atol=1e-12)
+
+
+def test_fingers_press_before_each_manipulation() -> None:
+    # Grasp, manipulate, change the grasp, manipulate; one sample each 0.1 s.
+    phase = np.repeat(np.array([1, 2, 3, 4, 3], np.uint8), 10)
+    times_s = 0.1 * np.arange(50)
+    robot = np.stack([times_s, np.where(phase == 4, 0.04, 0.01)], axis=1).astype(np.float32)
+    trajectory: Any = SimpleNamespace(phase=phase, times_s=times_s, robot=robot)
+    config = PhysicsConfig.of({"time_stretch": 2.0, "squeeze_s": 0.5, "settle_s": 0.25})
+    path = timeline(trajectory, 1, config)
+    assert path.times_s[-1] == pytest.approx(2.0 * 4.9 + 2 * 0.5 + 0.25, abs=1e-6)
+    # The arm stands during the pauses, which lie after samples 19 and 39, and at the end.
+    standing = np.abs(path.arm_speed[:, 0]) < 1e-9
+    assert standing.sum() * config.timestep_s == pytest.approx(1.25, abs=0.05)
+    assert path.pressing[standing & (path.times_s < 9.0)].all()
+    assert not path.pressing[path.phase == 1].any()
+    assert path.pressing[np.isin(path.phase, (2, 3))].all()
+    # While the grasp changes, the fingers follow the plan.
+    changing = (path.phase == 4) & ~standing
+    assert not path.pressing[changing][5:-5].any()
 
 
 def test_processes_do_not_change_the_result(shared_assets: Path, drawer_file: Path) -> None:

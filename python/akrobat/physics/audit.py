@@ -176,7 +176,7 @@ class Recorder:
         world = self._world
         times = traces["times"][:, 0]
         opened = traces["opened"][:, 0]
-        moving = phase >= MANIPULATE
+        moving = phase == MANIPULATE
         holding = (traces["finger_force"] > 0.0)[moving]
         reached = np.flatnonzero(opened >= needed)
         limits = {j["name"]: j["velocity_limit"] for j in world.robot_description["joints"]}
@@ -255,11 +255,11 @@ def _is_clean(findings: dict[str, Any]) -> bool:
 
 
 def _slip(tool_in_handle: NDArray[np.float32], phase: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """How far the tool has moved in the handle's frame since the manipulation began `[N, 2]`."""
+    """How far the tool has moved in the handle's frame since each manipulation began `[N, 2]`."""
     slip = np.zeros((len(phase), 2), np.float32)
-    moving = np.flatnonzero(phase >= MANIPULATE)
-    if len(moving):
-        slip[moving] = _pose_error(tool_in_handle[moving], tool_in_handle[moving[:1]])
+    moving = np.flatnonzero(phase == MANIPULATE)
+    for run in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1):
+        slip[run] = _pose_error(tool_in_handle[run], tool_in_handle[run[:1]])
     return slip
 
 

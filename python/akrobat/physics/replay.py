@@ -40,27 +40,51 @@ class Timeline:
     """`[S, F]`"""
     phase: NDArray[np.uint8]
     """`[S]`"""
+    pressing: NDArray[np.bool_]
+    """whether the fingers press rather than follow their positions `[S]`"""
+
+
+class Clock:
+    """Planned times of real ones: stretched, with a pause before each manipulation in which the
+    fingers press, and one at the end."""
+
+    def __init__(self, trajectory: _core.Trajectory, config: PhysicsConfig) -> None:
+        phase, planned_s = trajectory.phase, trajectory.times_s
+        begins = np.flatnonzero((phase[1:] == MANIPULATE) & (phase[:-1] != MANIPULATE))
+        real, planned = [0.0], [0.0]
+        for count, begin in enumerate(begins):
+            before_s = float(planned_s[begin]) * config.time_stretch + count * config.squeeze_s
+            real += [before_s, before_s + config.squeeze_s]
+            planned += [float(planned_s[begin])] * 2
+        moving_s = float(planned_s[-1]) * config.time_stretch
+        end_s = moving_s + len(begins) * config.squeeze_s
+        self.real_s = np.array([*real, end_s, end_s + config.settle_s])
+        self.planned_s = np.array([*planned, planned_s[-1], planned_s[-1]])
+        self.pauses = self.real_s[1:-2].reshape(-1, 2)
+        """begin and end of each pause before a manipulation, real time `[P, 2]`"""
+
+    def planned(self, real_s: Vector) -> Vector:
+        """Times on the plan, seconds."""
+        return np.interp(real_s, self.real_s, self.planned_s)
 
 
 def timeline(trajectory: _core.Trajectory, fingers: int, config: PhysicsConfig) -> Timeline:
-    """The trajectory as targets: stretched in time, with a pause in which the fingers press before
-    anything moves, and one at the end."""
-    planned_s = trajectory.times_s * config.time_stretch
-    phase = trajectory.phase
-    before = np.flatnonzero(phase < MANIPULATE)
-    grasped_s = float(planned_s[before[-1]]) if len(before) else 0.0
-    total_s = float(planned_s[-1]) + config.squeeze_s + config.settle_s
-    times_s = np.arange(1, round(total_s / config.timestep_s) + 1) * config.timestep_s
-    path_s = np.where(
-        times_s <= grasped_s, times_s, np.maximum(times_s - config.squeeze_s, grasped_s)
-    )
-    path_s = np.minimum(path_s, planned_s[-1])
+    """The trajectory as targets of every time step."""
+    clock = Clock(trajectory, config)
+    steps = round(clock.real_s[-1] / config.timestep_s)
+    times_s = np.arange(1, steps + 1) * config.timestep_s
+    path_s, planned_s, phase = clock.planned(times_s), trajectory.times_s, trajectory.phase
     robot = trajectory.robot.astype(float)
     rows = np.stack([np.interp(path_s, planned_s, column) for column in robot.T], axis=1)
     speed = np.gradient(rows, config.timestep_s, axis=0)
     at = np.minimum(np.searchsorted(planned_s, path_s - 1e-9), len(phase) - 1)
+    pressing = np.isin(phase[at], (GRASP, MANIPULATE))
+    for begin_s, end_s in clock.pauses:
+        pressing |= (times_s > begin_s) & (times_s <= end_s)
     joints = rows.shape[1] - fingers
-    return Timeline(times_s, rows[:, :joints], speed[:, :joints], rows[:, joints:], phase[at])
+    return Timeline(
+        times_s, rows[:, :joints], speed[:, :joints], rows[:, joints:], phase[at], pressing
+    )
 
 
 class Replayer:
@@ -85,7 +109,7 @@ class Replayer:
         targets = []
         for step, time_s in enumerate(path.times_s):
             controller.drive_arm(path.arm[step], path.arm_speed[step])
-            if path.phase[step] < GRASP:
+            if not path.pressing[step]:
                 controller.open_fingers(path.fingers[step])
             elif not config.keep_gripper_open:
                 controller.squeeze(path.fingers[step])
