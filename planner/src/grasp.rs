@@ -1,5 +1,7 @@
 //! Grasps: antipodal sampling on the handle, or poses from a file, with a check that the gripper fits.
 
+use std::collections::BTreeMap;
+
 use akrobat_model::task::{ManipulatedObject, Task};
 use akrobat_model::trajectory::Grasp;
 use akrobat_model::{Pose, Robot};
@@ -58,18 +60,16 @@ struct GripperShape {
 /// At most `count` grasps of a task, the best first: from its file, else sampled. Both are checked
 /// against the gripper's shape. Returns the grasps and the number of candidates that were looked at.
 pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64, count: usize) -> (Vec<Grasp>, usize) {
-    let candidates = if task.grasp_poses.is_empty() {
-        sample_antipodal(&task.object, task.robot.file.gripper.open_width_m, seed)
-    } else {
-        from_poses(task)
-    };
+    let candidates = candidates(task, seed);
     let around = Surroundings::build(task);
     let robot = &task.robot;
     let gripper = gripper_links(robot, spheres);
     let open = GripperShape::new(robot, &gripper, robot.file.gripper.open_width_m);
     let fits: Vec<Option<f64>> = candidates
         .par_iter()
-        .map(|candidate| around.fits(robot, &gripper, &open, candidate).then_some(candidate.score))
+        .map(|candidate| {
+            around.misfit(robot, &gripper, &open, candidate).is_none().then_some(candidate.score)
+        })
         .collect();
     let mut fitting: Vec<&Candidate> =
         candidates.iter().zip(&fits).filter(|(_, fit)| fit.is_some()).map(|(c, _)| c).collect();
@@ -83,6 +83,32 @@ pub fn grasps(task: &Task, spheres: &SphereModel, seed: u64, count: usize) -> (V
         width_m: candidate.width_m,
     });
     (grasps.collect(), candidates.len())
+}
+
+/// What the candidates of a task that do not fit would touch, with how many of them.
+pub fn misfits(task: &Task, spheres: &SphereModel, seed: u64) -> BTreeMap<String, u64> {
+    let candidates = candidates(task, seed);
+    let around = Surroundings::build(task);
+    let robot = &task.robot;
+    let gripper = gripper_links(robot, spheres);
+    let open = GripperShape::new(robot, &gripper, robot.file.gripper.open_width_m);
+    let found: Vec<Option<&'static str>> = candidates
+        .par_iter()
+        .map(|candidate| around.misfit(robot, &gripper, &open, candidate))
+        .collect();
+    let mut counts = BTreeMap::new();
+    for misfit in found.into_iter().flatten() {
+        *counts.entry(misfit.to_owned()).or_default() += 1;
+    }
+    counts
+}
+
+fn candidates(task: &Task, seed: u64) -> Vec<Candidate> {
+    if task.grasp_poses.is_empty() {
+        sample_antipodal(&task.object, task.robot.file.gripper.open_width_m, seed)
+    } else {
+        from_poses(task)
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -215,22 +241,29 @@ impl Surroundings {
         }
     }
 
-    /// True where the hand and the open fingers are free at the grasp and on the way to it, and the closed
-    /// fingers touch nothing but the handle.
-    fn fits(
+    /// What is not free: the hand or the open fingers at the grasp and on the way to it, or the closed
+    /// fingers, which may touch nothing but the handle.
+    fn misfit(
         &self,
         robot: &Robot,
         gripper: &[GripperLink],
         open: &GripperShape,
         candidate: &Candidate,
-    ) -> bool {
+    ) -> Option<&'static str> {
         let tool = Frame::from(&candidate.link_from_tool);
         let approach = tool.rotation * Vector3::z();
-        [0.0, 0.015, 0.04, 0.08].iter().all(|&back| {
+        for back in [0.0, 0.015, 0.04, 0.08] {
             let at = Frame { translation: tool.translation - approach * back, ..tool };
-            self.hand_is_free(open, &at) && self.open_fingers_are_free(open, &at)
-        }) && self
-            .fingers_avoid_others(&GripperShape::new(robot, gripper, candidate.width_m), &tool)
+            if !self.hand_is_free(open, &at) {
+                return Some("the hand touches something");
+            }
+            if !self.open_fingers_are_free(open, &at) {
+                return Some("the open fingers touch something");
+            }
+        }
+        let closed = GripperShape::new(robot, gripper, candidate.width_m);
+        let free = self.fingers_avoid_others(&closed, &tool);
+        (!free).then_some("the closed fingers touch something besides the handle")
     }
 
     fn hand_is_free(&self, shape: &GripperShape, tool: &Frame) -> bool {

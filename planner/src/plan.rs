@@ -1,5 +1,6 @@
 //! The planning run: composes the stages, deterministically for any number of threads.
 
+mod explain;
 mod pairing;
 mod planar;
 mod reach;
@@ -28,6 +29,9 @@ use crate::kinematics::Kinematics;
 use crate::spheres::{self, SphereModel};
 use crate::trajopt::{Problem, Waypoints};
 use crate::world::{World, handle_center, is_handle_part, outward};
+pub use explain::{
+    Blocker, Explanation, GraspFindings, ReachFindings, Violation, WayFindings, explain,
+};
 use regrasp::Chain;
 use timeline::Leg;
 

@@ -27,7 +27,7 @@ pub fn plan(
     assets: Vec<PathBuf>,
     quiet: bool,
 ) -> PyResult<PyTrajectories> {
-    let request = PlanRequest { task, output, assets, seed, limit, threads };
+    let request = PlanRequest { task, output, assets, seed, limit, threads, explain: false };
     let report = run(py, quiet, |context| pipeline::plan(&request, context))?;
     Ok(PyTrajectories::new(report.set))
 }

@@ -264,6 +264,7 @@ fn run_problem(
             seed: None,
             limit: Some(request.limit),
             threads: request.threads,
+            explain: false,
         },
         context,
     )?;

@@ -9,6 +9,7 @@ use akrobat_model::load;
 use akrobat_model::task::Task;
 use akrobat_model::{ModelError, TrajectorySet};
 use akrobat_packager::trajectory_file;
+use akrobat_planner::plan::Explanation;
 use akrobat_planner::spheres::SphereFit;
 use akrobat_planner::world::World;
 use akrobat_planner::{PlanError, PlannerConfig, Preparation};
@@ -31,6 +32,8 @@ pub struct PlanRequest {
     pub limit: Option<usize>,
     /// Number of threads; one for each core where absent. The result does not depend on it.
     pub threads: Option<usize>,
+    /// Find out what stops each stage as well.
+    pub explain: bool,
 }
 
 /// What planning gave.
@@ -44,6 +47,8 @@ pub struct PlanReport {
     pub stage_seconds: BTreeMap<String, f64>,
     /// Durations of each step of each pair of start and goal, seconds of one thread.
     pub step_seconds: BTreeMap<String, Vec<f64>>,
+    /// What stops each stage, where it was asked for.
+    pub explanation: Option<Explanation>,
     /// How well the collision spheres stand for each link.
     pub sphere_fits: Vec<SphereFit>,
     /// Repairs made while loading, contacts that are tolerated, details of rejections.
@@ -65,7 +70,8 @@ pub fn plan(request: &PlanRequest, context: &Context<'_>) -> Result<PlanReport, 
         context.observer.event(&Event::Warning { message: note });
     }
     let observer = context.observer;
-    let mut report = on_threads(request.threads, || plan_task(&task, &config, observer))?;
+    let mut report =
+        on_threads(request.threads, || plan_task(&task, &config, request.explain, observer))?;
     if let (Some(output), false) = (&request.output, report.set.trajectories.is_empty()) {
         report.set.header.task_dir = relative_folder(folder_of(output), folder_of(&request.task))?;
         trajectory_file::write(output, &report.set)?;
@@ -94,6 +100,7 @@ fn load_task(
 fn plan_task(
     task: &Task,
     config: &PlannerConfig,
+    explain: bool,
     observer: &dyn akrobat_model::events::Observer,
 ) -> Result<PlanReport, Error> {
     let began = std::time::Instant::now();
@@ -103,12 +110,16 @@ fn plan_task(
     let mut outcome =
         akrobat_planner::plan(task, &preparation, &world, config, observer, &judge_one)?;
     outcome.stage_seconds.insert("spheres, distance field and judge".into(), prepared_s);
+    let explanation = explain
+        .then(|| akrobat_planner::plan::explain(task, &preparation, &world, config, observer))
+        .transpose()?;
     let loaded = task.object.notes.iter().chain(&task.scene.notes);
     Ok(PlanReport {
         set: outcome.set,
         counts: outcome.counts,
         stage_seconds: outcome.stage_seconds,
         step_seconds: outcome.step_seconds,
+        explanation,
         sphere_fits: preparation.spheres.fits,
         notes: loaded.chain(judge.notes()).chain(&outcome.notes).cloned().collect(),
     })

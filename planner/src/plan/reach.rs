@@ -262,14 +262,14 @@ impl Run<'_> {
     }
 
     /// World frame of the tool that holds the object with its joint at `q`.
-    fn tool_target(&self, grasp: &Grasp, q: f64) -> Result<Frame, ModelError> {
+    pub(super) fn tool_target(&self, grasp: &Grasp, q: f64) -> Result<Frame, ModelError> {
         let object = &self.task.object;
         let poses = object.tree.link_poses(&object.world_from_root, &object.configuration(q));
         let link = object.tree.link_index(&grasp.link)?;
         Ok(Frame::from(&(poses[link] * grasp.link_from_tool)))
     }
 
-    fn seed_region(&self) -> SeedRegion {
+    pub(super) fn seed_region(&self) -> SeedRegion {
         let robot = &self.task.robot;
         let base = self.base();
         let poses = robot.tree.link_poses(&robot.world_from_root, &robot.rest);
