@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use akrobat_model::load::{self, AssetSearch};
-use akrobat_model::task::{Task, matches_pattern};
+use akrobat_model::task::{ObjectKind, Task, matches_pattern};
 use akrobat_model::{JointKind, fixtures};
 use nalgebra::{Point3, Vector3};
 
@@ -126,6 +126,9 @@ fn check_all(robot: &str, search: &AssetSearch, count: usize) {
     for path in files {
         let task = load::task(&path, search).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(path.file_stem().unwrap().to_str(), Some(task.file.name.as_str()));
+        if task.file.object.kind != ObjectKind::Articulated {
+            continue;
+        }
         check_goals(&task);
         let handle = check_handle(&task);
         check_room(&task, handle);
@@ -143,4 +146,30 @@ fn tasks_of_tiago_load_and_are_possible() {
     let Some(shared) = fixtures::shared_assets() else { return };
     let Some(robot_data) = example_robot_data() else { return };
     check_all("tiago", &AssetSearch { folders: vec![shared, robot_data] }, 8);
+}
+
+#[test]
+fn arms_from_other_descriptions_load_on_what_carries_them() {
+    let Some(shared) = fixtures::shared_assets() else { return };
+    let Some(robot_data) = example_robot_data() else { return };
+    let search = AssetSearch { folders: vec![shared, robot_data] };
+    for (robot, count, base_joints, carrier) in
+        [("panda", 4, 0, "pedestal"), ("ur5", 1, 3, "platform_chassis")]
+    {
+        let files = task_files(robot);
+        assert!(files.len() >= count, "{} task files of {robot}", files.len());
+        for path in files {
+            let task = load::task(&path, &search).unwrap_or_else(|e| panic!("{e}"));
+            assert_eq!(path.file_stem().unwrap().to_str(), Some(task.file.name.as_str()));
+            assert_eq!(task.robot.base_joints.len(), base_joints, "{robot}");
+            let tree = &task.robot.tree;
+            let carrier = tree.link_index(carrier).unwrap();
+            let under_tool: Vec<usize> = tree
+                .chain_to(task.robot.tool_link)
+                .iter()
+                .map(|&joint| tree.joints()[joint].parent)
+                .collect();
+            assert!(under_tool.contains(&carrier), "{robot} does not stand on its platform");
+        }
+    }
 }
