@@ -6,6 +6,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use crate::kernels::Config;
+use crate::kernels::ik::{BatchIk, Solved};
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables, rotation_log};
 
 /// Largest position and rotation error of a solution (metres, radians).
@@ -175,7 +177,15 @@ pub fn wrap(angle: f64) -> f64 {
 
 /// Seeds that are solved between two looks at whether they suffice: constant, so that results do not depend on
 /// threads.
-const CHUNK: usize = 64;
+const CHUNK: usize = 128;
+/// Seeds that one thread solves together.
+const GROUP: usize = 32;
+
+fn single(x: &Variables) -> Config {
+    let mut out = [0.0; MAX_VARIABLES];
+    out.iter_mut().zip(x).for_each(|(out, value)| *out = *value as f32);
+    out
+}
 
 /// How hard a batch tries.
 #[derive(Debug, Clone, Copy)]
@@ -210,22 +220,29 @@ pub fn solve_batch(
     prefilter: &(dyn Fn(&Variables) -> bool + Sync),
     accept: &(dyn Fn(&Variables) -> bool + Sync),
 ) -> Batch {
-    let solve_seed = |index: usize| -> (bool, Option<Vec<f64>>) {
+    let kernel = BatchIk::new(kinematics, tool);
+    let draw = |index: usize| -> Option<Vec<f64>> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(index as u64);
-        let promising = (0..SEED_DRAWS)
-            .map(|_| region.sample(kinematics, target, &mut rng))
-            .find(|x| prefilter(x));
-        let Some(mut x) = promising else { return (false, None) };
-        if !solve(kinematics, tool, target, &mut x, 0) {
+        (0..SEED_DRAWS).map(|_| region.sample(kinematics, target, &mut rng)).find(|x| prefilter(x))
+    };
+    let polish = |found: &Solved| -> (bool, Option<Vec<f64>>) {
+        let mut x: Vec<f64> = found.x[..kinematics.dof()].iter().map(|&v| f64::from(v)).collect();
+        if !(found.converged && solve(kinematics, tool, target, &mut x, 0)) {
             return (false, None);
         }
         (true, accept(&x).then_some(x))
     };
+    let solve_seeds = |first: usize| -> Vec<(bool, Option<Vec<f64>>)> {
+        let last = (first + GROUP).min(effort.seeds);
+        let seeds: Vec<Config> = (first..last).filter_map(draw).map(|x| single(&x)).collect();
+        kernel.solve(target, &seeds).iter().map(polish).collect()
+    };
     let mut batch = Batch::default();
     while batch.seeds < effort.seeds && batch.accepted.len() < effort.enough {
         let last = (batch.seeds + CHUNK).min(effort.seeds);
-        let results: Vec<_> = (batch.seeds..last).into_par_iter().map(solve_seed).collect();
+        let groups: Vec<usize> = (batch.seeds..last).step_by(GROUP).collect();
+        let results: Vec<_> = groups.into_par_iter().flat_map_iter(solve_seeds).collect();
         batch.seeds = last;
         batch.solved += results.iter().filter(|(solved, _)| *solved).count();
         batch.accepted.extend(results.into_iter().filter_map(|(_, x)| x));

@@ -3,7 +3,7 @@
 //! Both do the same IEEE operations in the same order (no fused multiply-add), so that every kernel gives
 //! the same bits with either.
 
-use std::ops::{Add, Mul, Sub};
+use std::ops::{Add, Div, Mul, Sub};
 
 /// Number of lanes.
 pub const LANES: usize = 8;
@@ -57,7 +57,7 @@ impl Simd {
 
 /// Eight numbers in registers.
 pub(crate) trait Lanes:
-    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
     fn splat(value: f32) -> Self;
     fn load(row: &Row) -> Self;
@@ -108,6 +108,14 @@ impl Mul for Array {
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
         self.zip(other, |a, b| a * b)
+    }
+}
+
+impl Div for Array {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.zip(other, |a, b| a / b)
     }
 }
 
@@ -164,7 +172,7 @@ pub(crate) use avx2::Avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     use std::arch::x86_64::*;
-    use std::ops::{Add, Mul, Sub};
+    use std::ops::{Add, Div, Mul, Sub};
 
     use super::{Lanes, Row};
 
@@ -197,6 +205,15 @@ mod avx2 {
         fn mul(self, other: Self) -> Self {
             // SAFETY: the processor has AVX2, see the type.
             Self(unsafe { _mm256_mul_ps(self.0, other.0) })
+        }
+    }
+
+    impl Div for Avx2 {
+        type Output = Self;
+        #[inline(always)]
+        fn div(self, other: Self) -> Self {
+            // SAFETY: the processor has AVX2, see the type.
+            Self(unsafe { _mm256_div_ps(self.0, other.0) })
         }
     }
 
@@ -305,13 +322,14 @@ mod tests {
     }
 
     #[inline(always)]
-    fn everything<L: Lanes>(a: &Row, b: &Row) -> ([Row; 10], u32) {
+    fn everything<L: Lanes>(a: &Row, b: &Row) -> ([Row; 11], u32) {
         let (x, y) = (L::load(a), L::load(b));
         let (sin, cos) = sin_cos(x);
         let all = [x + y, x - y, x * y, x.min(y), x.max(y), x.abs(), x.floor(), sin, cos];
-        let mut out = [Row::default(); 10];
+        let mut out = [Row::default(); 11];
         all.iter().zip(&mut out).for_each(|(value, row)| value.store(row));
         x.abs().sqrt().store(&mut out[9]);
+        (x / y).store(&mut out[10]);
         (out, x.less(y))
     }
 
@@ -343,14 +361,14 @@ mod tests {
     #[test]
     fn avx2_gives_the_bits_of_portable() {
         #[target_feature(enable = "avx2")]
-        fn wide(a: &Row, b: &Row) -> ([Row; 10], u32) {
+        fn wide(a: &Row, b: &Row) -> ([Row; 11], u32) {
             everything::<Avx2>(a, b)
         }
         if Simd::detect() != Simd::Avx2 {
             return;
         }
         let rows = rows();
-        let bits = |(rows, mask): ([Row; 10], u32)| (rows.map(|r| r.0.map(f32::to_bits)), mask);
+        let bits = |(rows, mask): ([Row; 11], u32)| (rows.map(|r| r.0.map(f32::to_bits)), mask);
         for (a, b) in rows.iter().zip(rows.iter().rev()) {
             // SAFETY: the processor has AVX2.
             let fast = unsafe { wide(a, b) };

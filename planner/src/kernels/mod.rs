@@ -1,5 +1,9 @@
 //! Inner loops in lanes of eight numbers.
 
+mod chain;
+pub mod ik;
 pub mod lanes;
 pub mod obstacles;
 pub mod validity;
+
+pub use chain::Config;

@@ -5,17 +5,16 @@
 //! anywhere on it is found early. Each link's bounding sphere is tried before those of its clusters of
 //! spheres, and those before the spheres.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
+pub use super::chain::Config;
+use super::chain::{CompiledJoint, FrameRows, compile, load, place, store};
 #[cfg(target_arch = "x86_64")]
 use super::lanes::Avx2;
-use super::lanes::{Array, LANES, Lanes, Row, Simd, sin_cos, xyz};
+use super::lanes::{Array, LANES, Lanes, Row, Simd, xyz};
 use super::obstacles::{Near, Obstacles, Points};
-use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, Motion};
+use crate::kinematics::{Frame, Kinematics};
 use crate::spheres::Sphere;
-
-/// A configuration in single precision; entries beyond the robot's variables are zero.
-pub type Config = [f32; MAX_VARIABLES];
 
 /// Room for what single precision rounds away, metres.
 const ROUNDING_M: f64 = 1e-5;
@@ -33,16 +32,6 @@ pub struct Validity {
     pairs: Vec<(usize, usize)>,
     /// By how much all radii have grown, metres; two links keep it between them once.
     grown: f32,
-}
-
-/// A joint whose axis has been turned to z.
-#[derive(Debug, Clone, Copy)]
-struct CompiledJoint {
-    /// Slot of the parent's frame.
-    parent: usize,
-    /// `parent_from_joint`: columns of the rotation, then the translation.
-    columns: [[f32; 3]; 4],
-    motion: Motion,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -73,9 +62,6 @@ struct Cluster {
 /// Most spheres of a cluster.
 const CLUSTER_SPHERES: usize = 8;
 
-/// World frames of eight configurations: columns x, y, z and translation.
-type FrameRows = [[Row; 3]; 4];
-
 /// Working memory of one thread.
 #[derive(Debug, Clone)]
 pub struct Scratch {
@@ -99,31 +85,14 @@ impl Validity {
         base_joints: usize,
         margin_m: f64,
     ) -> Self {
-        let turned: Vec<Matrix3<f64>> =
-            kinematics.nodes().iter().map(|node| turn_z_to(&node.axis)).collect();
-        let joints = kinematics.nodes().iter().zip(&turned).map(|(node, turn)| {
-            let own = Frame { rotation: *turn, translation: Vector3::zeros() };
-            let mut frame = node.parent_from_joint.compose(&own);
-            if let Some(parent) = node.parent {
-                let back = turned[parent].transpose();
-                let back = Frame { rotation: back, translation: Vector3::zeros() };
-                frame = back.compose(&frame);
-            }
-            let column = |v: Vector3<f64>| [v.x as f32, v.y as f32, v.z as f32];
-            let rotation = |i: usize| column(frame.rotation.column(i).into_owned());
-            CompiledJoint {
-                parent: node.parent.unwrap_or(kinematics.dof()),
-                columns: [rotation(0), rotation(1), rotation(2), column(frame.translation)],
-                motion: node.motion,
-            }
-        });
+        let (joints, turned) = compile(kinematics);
         let mut links: Vec<usize> = spheres.iter().map(|s| s.link).collect();
         links.sort_unstable();
         links.dedup();
         links.sort_by_key(|&l| (kinematics.attachment(l).node.is_none(), l));
         let mut out = Self {
             simd: Simd::detect(),
-            joints: joints.collect(),
+            joints,
             groups: Vec::new(),
             clusters: Vec::new(),
             spheres: Vec::new(),
@@ -435,65 +404,6 @@ fn split(balls: &mut [(Vector3<f64>, f64)], few: &mut impl FnMut(&[(Vector3<f64>
     let (left, right) = balls.split_at_mut(balls.len() / 2);
     split(left, few);
     split(right, few);
-}
-
-impl CompiledJoint {
-    /// Moves the joint's frame to `q` and writes it to `out`.
-    #[inline(always)]
-    fn place<L: Lanes>(&self, parent: &FrameRows, q: L, out: &mut FrameRows) {
-        let x = turned::<L>(parent, &self.columns[0]);
-        let y = turned::<L>(parent, &self.columns[1]);
-        let z = turned::<L>(parent, &self.columns[2]);
-        let at = place::<L>(parent, &self.columns[3]);
-        store(z, &mut out[2]);
-        match self.motion {
-            Motion::Turn => {
-                let (sin, cos) = sin_cos(q);
-                store(xyz!(i => x[i] * cos + y[i] * sin), &mut out[0]);
-                store(xyz!(i => y[i] * cos - x[i] * sin), &mut out[1]);
-                store(at, &mut out[3]);
-            }
-            Motion::Slide => {
-                store(x, &mut out[0]);
-                store(y, &mut out[1]);
-                store(xyz!(i => at[i] + z[i] * q), &mut out[3]);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn load<L: Lanes>(rows: &[Row; 3]) -> Points<L> {
-    xyz!(i => L::load(&rows[i]))
-}
-
-#[inline(always)]
-fn store<L: Lanes>(points: Points<L>, rows: &mut [Row; 3]) {
-    points[0].store(&mut rows[0]);
-    points[1].store(&mut rows[1]);
-    points[2].store(&mut rows[2]);
-}
-
-/// World components of a direction of a frame.
-#[inline(always)]
-fn turned<L: Lanes>(frame: &FrameRows, direction: &[f32; 3]) -> Points<L> {
-    xyz!(i => L::load(&frame[0][i]) * L::splat(direction[0])
-        + L::load(&frame[1][i]) * L::splat(direction[1])
-        + L::load(&frame[2][i]) * L::splat(direction[2]))
-}
-
-/// World places of a point of a frame.
-#[inline(always)]
-fn place<L: Lanes>(frame: &FrameRows, point: &[f32; 3]) -> Points<L> {
-    let offset = turned::<L>(frame, point);
-    xyz!(i => L::load(&frame[3][i]) + offset[i])
-}
-
-/// A rotation whose z axis is `axis`.
-fn turn_z_to(axis: &Vector3<f64>) -> Matrix3<f64> {
-    let helper = if axis.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
-    let x = (helper - axis * axis.dot(&helper)).normalize();
-    Matrix3::from_columns(&[x, axis.cross(&x), *axis])
 }
 
 fn ball(center: &Vector3<f64>, radius: f64) -> Ball {

@@ -28,7 +28,7 @@ pub struct PlanBenchArgs {
     #[arg(long, value_name = "FILE")]
     problems: Option<PathBuf>,
     /// Trajectories wanted for each problem.
-    #[arg(long, value_name = "N", default_value_t = 60)]
+    #[arg(long, value_name = "N", default_value_t = 120)]
     limit: usize,
     /// Begin no further problem after this many seconds.
     #[arg(long, value_name = "S", default_value_t = 44.0)]
