@@ -214,6 +214,8 @@ def mujoco_shot(workload: Workload) -> Shot:
                 data.mocap_quat[place] = [-x, w, z, -y] if is_camera else [w, x, y, z]
             mujoco.mj_forward(model, data)
             placed = frame
+        # Also keeps it alive.
+        context.make_current()
         view.fixedcamid = camera
         mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
         mujoco.mjr_render(viewport, scene, drawing)
@@ -308,7 +310,8 @@ def measure_peer(peer: str, folder: Path, repeats: int) -> dict:
         check=False,
         timeout=900,
     )
-    lines = done.stdout.strip().splitlines()
+    # Libraries print what they like, also at exit.
+    lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
     if done.returncode == 0 and lines:
         return json.loads(lines[-1])
     reason = (done.stderr.strip().splitlines() or ["no message"])[-1]

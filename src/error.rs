@@ -34,8 +34,8 @@ pub enum Error {
     /// Rendering failed.
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// The lighting cannot be used.
-    #[error("lighting: {0}")]
+    /// A lighting or a variation of it cannot be used.
+    #[error(transparent)]
     Lighting(#[from] LightingError),
     /// The request is wrong in itself; the whole message.
     #[error("{0}")]

@@ -53,6 +53,9 @@ def render(
     backend: Literal["auto", "soft", "wgpu", "sapien"] = "auto",
     rig: StrPath = "paper",
     lighting: StrPath = "even",
+    variation: StrPath | None = None,
+    variation_seed: int = 0,
+    appearance: StrPath | None = None,
     supersampling: Literal[1, 3, 5] = 1,
     format: Literal["hdf5", "mcap"] = "hdf5",
     episodes: Sequence[int] | None = None,
@@ -71,6 +74,11 @@ def render(
     :param backend: which renderer draws
     :param rig: cameras: the name of a preset or a rig file (`akrobat schema rig`)
     :param lighting: light: the name of a preset or a lighting file (`akrobat schema lighting`)
+    :param variation: what is drawn at random for each episode: the name of a preset (`mild`,
+        `wild`) or a file (`akrobat schema variation`)
+    :param variation_seed: seed of what is drawn
+    :param appearance: JSON file of what an earlier run drew (`renderer.appearance` of an episode's
+        provenance)
     :param supersampling: colour is the mean of this many samples along either edge of a pixel
     :param format: which files hold the episodes
     :param episodes: positions in the trajectory file; all where absent
@@ -92,6 +100,9 @@ def render(
                 backend=backend,
                 rig=rig,
                 lighting=lighting,
+                variation=variation,
+                variation_seed=variation_seed,
+                appearance=appearance,
                 supersampling=supersampling,
                 format=format,
                 episodes=episodes,
@@ -109,6 +120,9 @@ def render(
         backend=backend,
         rig=str(rig),
         lighting=str(lighting),
+        variation=None if variation is None else str(variation),
+        variation_seed=variation_seed,
+        appearance=None if appearance is None else Path(appearance),
         supersampling=supersampling,
         format=format,
         episodes=None if episodes is None else list(episodes),

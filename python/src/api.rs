@@ -34,7 +34,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, supersampling, format, episodes, manipulation_only, states, episodes_per_shard, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, format, episodes, manipulation_only, states, episodes_per_shard, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -43,6 +43,9 @@ pub fn render<'py>(
     backend: &str,
     rig: String,
     lighting: String,
+    variation: Option<String>,
+    variation_seed: u64,
+    appearance: Option<PathBuf>,
     supersampling: u32,
     format: &str,
     episodes: Option<Vec<usize>>,
@@ -61,6 +64,9 @@ pub fn render<'py>(
         backend: choice::<BackendChoice>("backend", backend)?,
         rig: Some(rig),
         lighting: Some(lighting),
+        variation,
+        variation_seed,
+        appearance,
         supersampling: supersampling
             .try_into()
             .map_err(|message| InputError::new_err(format!("supersampling: {message}")))?,

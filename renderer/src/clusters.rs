@@ -177,8 +177,12 @@ pub(crate) struct ClusteredScene {
 }
 
 impl ClusteredScene {
-    pub fn new(bodies: &[RenderBody]) -> Self {
-        let mut by_mesh: HashMap<*const TriMesh, Arc<ClusteredMesh>> = HashMap::new();
+    /// The bodies' meshes; those that `known` has are taken from there.
+    pub fn new(bodies: &[RenderBody], known: Option<&Self>) -> Self {
+        let known = known.into_iter().flat_map(|scene| &scene.instances);
+        // Sources are kept alive by their clusters, so that an address stands for one mesh.
+        let mut by_mesh: HashMap<*const TriMesh, Arc<ClusteredMesh>> =
+            known.map(|i| (Arc::as_ptr(&i.mesh.mesh), i.mesh.clone())).collect();
         let mut instances = Vec::new();
         for (place, body) in bodies.iter().enumerate() {
             for (part, mesh) in body.meshes.iter().enumerate() {

@@ -3,6 +3,7 @@
 //! A [`RenderScene`] is what can be seen, a [`FrameState`] is where everything is at one instant,
 //! and a [`Backend`] turns both into images. Every backend follows the image model of [`scene`].
 
+pub mod appearance;
 pub mod backend;
 mod clusters;
 pub mod compare;
@@ -23,6 +24,7 @@ pub mod soft;
 mod srgb;
 pub mod supersampling;
 
+pub use appearance::{Appearance, Variation};
 pub use backend::{Backend, PlacedCamera};
 pub use error::RenderError;
 pub use lighting::Lighting;

@@ -171,6 +171,15 @@ impl Light {
         }
     }
 
+    /// What casts its shadows.
+    pub fn shadow(&self) -> Shadow {
+        match self {
+            Self::Directional { shadow, .. }
+            | Self::Point { shadow, .. }
+            | Self::Spot { shadow, .. } => *shadow,
+        }
+    }
+
     fn values(&self) -> Vec<f32> {
         match self {
             Self::Directional { direction, rgb, .. } => [*direction, *rgb].concat(),
@@ -223,7 +232,7 @@ fn check_color(what: &str, rgb: &[f32; 3]) -> Result<(), String> {
     Err(format!("{what} must be three numbers of 0 to {BRIGHTEST} (linear light), got {rgb:?}"))
 }
 
-/// Why a lighting cannot be used.
+/// Why a lighting or a variation cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LightingError {
     /// The file cannot be read.
@@ -234,11 +243,11 @@ pub enum LightingError {
         /// Why.
         source: std::io::Error,
     },
-    /// The text is not a lighting file.
-    #[error(
-        "{context}: {message}; valid kinds of light: directional, point, spot; schema: `akrobat schema lighting`"
-    )]
+    /// The text is not such a file.
+    #[error("{context}: {message}; schema: `akrobat schema {what}`")]
     Syntax {
+        /// `lighting` or `variation`.
+        what: &'static str,
         /// File or preset.
         context: String,
         /// What the parser says.
@@ -255,8 +264,10 @@ pub enum LightingError {
         message: String,
     },
     /// There is no such preset.
-    #[error("no lighting preset \"{name}\"; valid choices: {}, or a file that ends in .toml", choices.join(", "))]
+    #[error("no {what} preset \"{name}\"; valid choices: {}, or a file that ends in .toml", choices.join(", "))]
     UnknownPreset {
+        /// `lighting` or `variation`.
+        what: &'static str,
         /// What was asked for.
         name: String,
         /// The presets.
@@ -303,6 +314,7 @@ impl Lighting {
         match PRESETS.iter().find(|(preset, _)| *preset == name) {
             Some((_, text)) => Self::from_toml(text, name),
             None => Err(LightingError::UnknownPreset {
+                what: "lighting",
                 name: name.to_owned(),
                 choices: Self::preset_names().map(str::to_owned).collect(),
             }),
@@ -320,6 +332,7 @@ impl Lighting {
     /// [`LightingError::Syntax`] and [`LightingError::BadValue`].
     pub fn from_toml(text: &str, context: &str) -> Result<Self, LightingError> {
         let lighting: Self = toml::from_str(text).map_err(|error| LightingError::Syntax {
+            what: "lighting",
             context: context.to_owned(),
             message: error.to_string().trim_end().to_owned(),
         })?;

@@ -103,6 +103,8 @@ pub struct RenderScene {
     pub world_from_clutter: Arc<[Pose]>,
     /// The bodies' meshes in clusters, made when they are first needed and shared by clones.
     clusters: Arc<OnceLock<ClusteredScene>>,
+    /// Clusters of the scene that this one was made from.
+    base: Option<Arc<OnceLock<ClusteredScene>>>,
     /// A sphere around each body in its own frame, likewise.
     body_spheres: Arc<OnceLock<Vec<BodySphere>>>,
 }
@@ -164,6 +166,7 @@ impl RenderScene {
                 world_from_front: Pose::identity(),
                 world_from_clutter: Arc::default(),
                 clusters: Arc::default(),
+                base: None,
                 body_spheres: Arc::default(),
             }),
             None => Err(RenderError::Scene {
@@ -176,6 +179,30 @@ impl RenderScene {
     /// The same scene in another light, whose lights are placed at the object's front.
     pub fn lit_by(&self, lighting: &Lighting) -> Self {
         Self { lighting: lighting.in_world(&self.world_from_front), ..self.clone() }
+    }
+
+    /// The same scene with more bodies, whose places are given by their indices; meshes that it has already are not
+    /// prepared again.
+    ///
+    /// # Errors
+    /// As [`RenderScene::from_task`].
+    pub(crate) fn with_clutter(
+        &self,
+        clutter: Vec<UnnumberedBody>,
+        world_from_clutter: Vec<Pose>,
+    ) -> Result<Self, RenderError> {
+        let own = self.bodies.iter().map(|body| {
+            let RenderBody { group, name, class, index, meshes, .. } = body.clone();
+            (group, name, class, index, meshes)
+        });
+        let mut scene = Self::new(self.name.clone(), own.chain(clutter).collect())?;
+        scene.lighting = self.lighting.clone();
+        scene.world_from_front = self.world_from_front;
+        scene.world_from_clutter = world_from_clutter.into();
+        // Made once here rather than for every scene that is derived.
+        self.clusters();
+        scene.base = Some(self.clusters.clone());
+        Ok(scene)
     }
 
     /// What the segment ids stand for.
@@ -191,7 +218,8 @@ impl RenderScene {
 
     /// The meshes in clusters.
     pub(crate) fn clusters(&self) -> &ClusteredScene {
-        self.clusters.get_or_init(|| ClusteredScene::new(&self.bodies))
+        let known = self.base.as_ref().and_then(|clusters| clusters.get());
+        self.clusters.get_or_init(|| ClusteredScene::new(&self.bodies, known))
     }
 
     /// A sphere around each body, in its own frame.

@@ -16,6 +16,7 @@ use crate::{Error, ExitCode};
 ///   akrobat render drawer.h5 -o dataset --episodes 0,5-9     some of the trajectories
 ///   akrobat render drawer.h5 -o dataset --rig my_rig.toml    other cameras (`akrobat schema rig`)
 ///   akrobat render drawer.h5 -o dataset --lighting studio    other light, with shadows
+///   akrobat render drawer.h5 -o dataset --variation wild     another look for every episode
 ///   akrobat render drawer.h5 -o dataset --format mcap        one MCAP log per episode
 ///   akrobat render drawer.h5 -o dataset --resume             go on after an interruption
 #[derive(Debug, Args)]
@@ -36,6 +37,16 @@ pub struct RenderArgs {
     /// lighting`).
     #[arg(long, value_name = "PRESET|FILE", default_value = "even")]
     lighting: String,
+    /// Draw each episode's light, colours, textures, background and clutter at random: the name of a preset (mild, wild) or a
+    /// file (`akrobat schema variation`). Everything drawn is recorded in the episode's provenance.
+    #[arg(long, value_name = "PRESET|FILE")]
+    variation: Option<String>,
+    /// Seed of what is drawn; with the same one, an episode always looks the same.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    variation_seed: u64,
+    /// Make episodes look as `renderer.appearance` of an episode's provenance says (JSON file).
+    #[arg(long, value_name = "FILE", conflicts_with = "variation")]
+    appearance: Option<PathBuf>,
     /// Smooth colours: the mean of N x N samples of each pixel. Depth and segmentation stay those of the pixel's centre.
     #[arg(long, value_name = "1|3|5", default_value_t)]
     supersampling: Supersampling,
@@ -88,6 +99,9 @@ pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
         backend: args.backend,
         rig: Some(args.rig.clone()),
         lighting: Some(args.lighting.clone()),
+        variation: args.variation.clone(),
+        variation_seed: args.variation_seed,
+        appearance: args.appearance.clone(),
         supersampling: args.supersampling,
         format: args.format,
         episodes: args.episodes.clone().map(|Episodes(list)| list),

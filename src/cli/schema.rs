@@ -40,6 +40,8 @@ enum Kind {
     Sensor,
     /// Light and background.
     Lighting,
+    /// What is drawn at random for each episode.
+    Variation,
     /// The `[planner]` table of task files.
     Planner,
     /// The judge's tolerances.
@@ -56,6 +58,7 @@ impl Kind {
             Self::Rig => "rig",
             Self::Sensor => "sensor",
             Self::Lighting => "lighting",
+            Self::Variation => "variation",
             Self::Planner => "planner",
             Self::Judge => "judge",
             Self::Physics => "physics",
@@ -69,6 +72,7 @@ impl Kind {
             Self::Rig => schemars::schema_for!(akrobat_cameras::Rig),
             Self::Sensor => schemars::schema_for!(akrobat_cameras::Sensor),
             Self::Lighting => schemars::schema_for!(akrobat_renderer::Lighting),
+            Self::Variation => schemars::schema_for!(akrobat_renderer::Variation),
             Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
             Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
             Self::Physics => schemars::schema_for!(crate::pipeline::PhysicsConfig),

@@ -11,9 +11,10 @@ use akrobat_model::{ModelError, Rejection, Trajectory, TrajectorySet};
 use akrobat_packager::dataset::{Container, DatasetConfig, DatasetWriter, Licence, Status};
 use akrobat_packager::{Attachment, EpisodeInfo, trajectory_file};
 use akrobat_renderer::raster::WgpuBackend;
+use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{
-    Backend, EpisodeConfig, EpisodeRenderer, Lighting, RenderError, RenderScene, SoftBackend,
-    Supersampling,
+    Appearance, Backend, EpisodeConfig, EpisodeRenderer, Lighting, RenderError, RenderScene,
+    SoftBackend, Supersampling, Variation,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -82,6 +83,12 @@ pub struct RenderRequest {
     pub rig: Option<String>,
     /// A lighting preset's name or a lighting file; `even` where absent.
     pub lighting: Option<String>,
+    /// What is drawn at random for each episode: a variation preset's name or a file; nothing where absent.
+    pub variation: Option<String>,
+    /// Seed of what is drawn.
+    pub variation_seed: u64,
+    /// The recorded appearance (JSON) that all episodes get.
+    pub appearance: Option<PathBuf>,
     /// Colour is the mean of this many samples along either edge of a pixel: 1, 3 or 5.
     pub supersampling: Supersampling,
     /// Which files hold the episodes.
@@ -144,6 +151,7 @@ pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderRe
     rig.validate_links(links).map_err(|error| Error::Render(error.into()))?;
     let backend = open_backend(request.backend, context)?;
     let lighting = Lighting::named(request.lighting.as_deref().unwrap_or("even"))?;
+    let look = Look::new(request)?;
     let backend = request.supersampling.over(backend);
     let scene = RenderScene::from_task(&task)?.lit_by(&lighting);
     let provenance = provenance(&set, &scene, backend.name(), request);
@@ -155,6 +163,7 @@ pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderRe
         scene: &scene,
         rig: &rig,
         unfit,
+        look,
         provenance,
         attachments,
         observer: context.observer,
@@ -170,6 +179,7 @@ struct Job<'a> {
     rig: &'a Rig,
     /// Why episodes are left out, by position.
     unfit: BTreeMap<usize, String>,
+    look: Look,
     provenance: serde_json::Value,
     attachments: Vec<Attachment>,
     observer: &'a dyn Observer,
@@ -186,7 +196,6 @@ impl Job<'_> {
             manipulation_only: self.request.manipulation_only,
             ..EpisodeConfig::default()
         };
-        let renderer = EpisodeRenderer::new(self.task, self.scene, self.rig, config.clone());
         let trajectories = || selected.iter().map(|&index| (index, &self.set.trajectories[index]));
         let frames: usize = trajectories()
             .map(|(_, t)| t.frame_times(config.rate_hz, config.manipulation_only).len())
@@ -217,8 +226,15 @@ impl Job<'_> {
                 report.filtered += 1;
                 continue;
             }
+            let (scene, provenance) = self.look.of(self, trajectory)?;
+            let renderer = EpisodeRenderer::new(self.task, &scene, self.rig, config.clone());
             let episode = renderer.episode(trajectory)?;
-            let info = self.info(index, trajectory, episode.frame_count(), &config);
+            let frames = episode.frame_count();
+            let info = EpisodeInfo {
+                labels: scene.segment_labels(),
+                provenance,
+                ..self.info(index, trajectory, frames, &config)
+            };
             let mut open: Vec<&mut DatasetWriter> =
                 writers.iter_mut().filter(|w| !w.contains(&trajectory.id)).collect();
             for writer in &mut open {
@@ -335,6 +351,58 @@ impl Job<'_> {
             provenance: self.provenance.clone(),
             attachments: self.attachments.clone(),
         }
+    }
+}
+
+/// What episodes look like.
+enum Look {
+    /// As the scene says.
+    Plain,
+    /// As drawn for each.
+    Varied(Variation, u64),
+    /// As recorded.
+    Recorded(Box<Appearance>),
+}
+
+/// Frames of an episode that clutter keeps clear of.
+const KEYFRAMES: usize = 9;
+
+impl Look {
+    fn new(request: &RenderRequest) -> Result<Self, Error> {
+        match (&request.variation, &request.appearance) {
+            (Some(_), Some(_)) => {
+                Err(Error::Usage("a variation and a recorded appearance exclude each other".into()))
+            }
+            (Some(name), None) => Ok(Self::Varied(Variation::named(name)?, request.variation_seed)),
+            (None, Some(path)) => Ok(Self::Recorded(Box::new(Appearance::load(path)?))),
+            (None, None) => Ok(Self::Plain),
+        }
+    }
+
+    /// The scene of an episode, and its provenance, which holds all that was drawn.
+    fn of(
+        &self,
+        job: &Job<'_>,
+        trajectory: &Trajectory,
+    ) -> Result<(RenderScene, serde_json::Value), Error> {
+        let drawn;
+        let appearance: &Appearance = match self {
+            Self::Plain => return Ok((job.scene.clone(), job.provenance.clone())),
+            Self::Recorded(appearance) => appearance,
+            Self::Varied(variation, seed) => {
+                let replay = Replay::new(job.task, job.scene);
+                replay.check(trajectory)?;
+                let duration_s = trajectory.dense.duration_s();
+                let times = (0..KEYFRAMES).map(|k| k as f64 / (KEYFRAMES - 1) as f64 * duration_s);
+                let frames: Vec<_> = times.map(|t| replay.at_time(trajectory, 0, t)).collect();
+                drawn = variation.draw(job.scene, &frames, *seed, &trajectory.id);
+                &drawn
+            }
+        };
+        let mut provenance = job.provenance.clone();
+        provenance["renderer"]["lighting"] = json!(appearance.lighting);
+        provenance["renderer"]["appearance"] = json!(appearance);
+        Ok((appearance.apply(job.scene)?, provenance))
     }
 }
 

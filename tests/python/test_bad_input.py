@@ -330,6 +330,8 @@ def test_wrong_options_of_plan(
         (["--rig", "none/rig.toml"], ("none/rig.toml",)),
         (["--lighting", "moonshine"], ("moonshine", "even", "studio")),
         (["--lighting", "none/light.toml"], ("none/light.toml",)),
+        (["--variation", "tame"], ("tame", "mild", "wild")),
+        (["--appearance", "none/look.json"], ("none/look.json",)),
         (["--supersampling", "2"], ("2", "1, 3, 5")),
         (["--backend", "crayons"], ("crayons", "soft", "wgpu", "sapien")),
         (["--format", "zip"], ("zip", "hdf5", "mcap")),

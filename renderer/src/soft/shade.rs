@@ -44,6 +44,9 @@ pub(super) fn shade(
     frame
 }
 
+/// Pixels that are shaded at once where that is possible.
+const LANES: usize = 8;
+
 /// What shading reads.
 struct Shading<'a> {
     view: &'a View,
@@ -128,12 +131,91 @@ impl Shading<'_> {
         let Some(directions) = &self.lights.directions else {
             return self.fill_lit(colors, &surface, depths, rays_x, ray_y);
         };
+        if let (Some(light), Some(texture)) = (surface.flat_light, surface.texture()) {
+            let blocks = colors.chunks_mut(LANES).zip(depths.chunks(LANES));
+            for ((colors, depths), rays_x) in blocks.zip(rays_x.chunks(LANES)) {
+                self.fill_textured(colors, &surface, texture, light, depths, rays_x, ray_y);
+            }
+            return;
+        }
         for ((color, &depth), &ray_x) in colors.iter_mut().zip(&*depths).zip(rays_x) {
             let weights = surface.weights([ray_x * depth, ray_y * depth, depth]);
             let light = surface.flat_light.unwrap_or_else(|| {
                 self.lights.on(surface.normal_at(weights, [ray_x, ray_y, 1.0]), directions)
             });
             *color = self.encode(surface.albedo(weights, self.srgb), light);
+        }
+    }
+
+    /// Colours of up to [`LANES`] textured pixels in the same light: what [`Surface::albedo`] and [`Shading::encode`] compute, in
+    /// steps that the compiler turns into vector instructions.
+    #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "the parts of a run, which is not worth a type")]
+    fn fill_textured(
+        &self,
+        colors: &mut [[u8; 3]],
+        surface: &Surface<'_>,
+        texture: &image::RgbaImage,
+        light: [f32; 3],
+        depths: &[f32],
+        rays_x: &[f32],
+        ray_y: f32,
+    ) {
+        let (mut depth, mut ray_x) = ([0.0; LANES], [0.0; LANES]);
+        depth[..depths.len()].copy_from_slice(depths);
+        ray_x[..rays_x.len()].copy_from_slice(rays_x);
+        let uvs = surface.corners.map(|vertex| surface.mesh.uvs[vertex]);
+        let size = [texture.width() as i32, texture.height() as i32];
+        let (mut low, mut high) = ([[0i32; LANES]; 2], [[0i32; LANES]; 2]);
+        let mut fraction = [[0.0f32; LANES]; 2];
+        for i in 0..LANES {
+            let point = [ray_x[i] * depth[i], ray_y * depth[i], depth[i]];
+            let uv = mix(uvs, surface.weights(point));
+            for axis in 0..2 {
+                let wrapped = uv[axis] - uv[axis].floor();
+                // Not a number becomes zero.
+                let wrapped = if wrapped >= 0.0 { wrapped } else { 0.0 };
+                let place = wrapped * size[axis] as f32 - 0.5;
+                let first = place.floor();
+                let at = first as i32;
+                let at = if at < 0 { size[axis] - 1 } else { at };
+                low[axis][i] = if at >= size[axis] { 0 } else { at };
+                high[axis][i] = if low[axis][i] + 1 == size[axis] { 0 } else { low[axis][i] + 1 };
+                fraction[axis][i] = place - first;
+            }
+        }
+        let texels = texture.as_raw().as_chunks::<4>().0;
+        let mut corners = [[[0.0f32; LANES]; 3]; 4];
+        for i in 0..colors.len() {
+            let rows = [low[1][i], high[1][i]].map(|row| row as usize * size[0] as usize);
+            let columns = [low[0][i], high[0][i]].map(|column| column as usize);
+            for (corner, at) in [
+                rows[0] + columns[0],
+                rows[0] + columns[1],
+                rows[1] + columns[0],
+                rows[1] + columns[1],
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                let texel = texels[at];
+                for channel in 0..3 {
+                    corners[corner][channel][i] = self.srgb.decode(texel[channel]);
+                }
+            }
+        }
+        for channel in 0..3 {
+            let factor = surface.material.base_color[channel];
+            let [a, b, c, d] = corners.map(|corner| corner[channel]);
+            let mut linear = [0.0f32; LANES];
+            for i in 0..LANES {
+                let top = a[i] + (b[i] - a[i]) * fraction[0][i];
+                let bottom = c[i] + (d[i] - c[i]) * fraction[0][i];
+                linear[i] = factor * (top + (bottom - top) * fraction[1][i]) * light[channel];
+            }
+            for (color, &value) in colors.iter_mut().zip(&linear) {
+                color[channel] = self.srgb.encode(value);
+            }
         }
     }
 
@@ -271,6 +353,10 @@ impl<'a> Surface<'a> {
             let n = normalized(self.camera_from_body.rotate(mix(normals, weights)));
             if dot(n, ray) > 0.0 { n.map(|c| -c) } else { n }
         })
+    }
+
+    fn texture(&self) -> Option<&'a image::RgbaImage> {
+        self.material.base_color_texture.as_deref().filter(|_| self.is_textured)
     }
 
     #[inline(always)]
