@@ -7,9 +7,9 @@ use crate::convex::{Deepest, DepthProbe};
 use crate::finding::Finding;
 use crate::judge::{Geometry, Scenery};
 use crate::kinematics::Frame;
-use crate::near::{Gap, Intrusions, Near, solids_in_each_other};
+use crate::near::{Intrusions, Near, SolidPair, solids_in_each_other};
 use crate::path::Place;
-use crate::travel::Travel;
+use crate::travel::{RelativeWay, Travel};
 
 /// Shallower contacts are not told apart from none, metres.
 const TOUCH_M: f64 = 1e-4;
@@ -70,9 +70,9 @@ pub fn deepest(geometry: &Geometry, sceneries: &[Scenery]) -> Penetration {
     let mut worst = Penetration::default();
     let mut probe = DepthProbe::default();
     let obstacles = geometry.obstacles.len();
-    let mut near: Vec<Option<Near>> = Vec::new();
-    near.resize_with(geometry.robot_solids.len() * obstacles, || None);
-    let mut gaps = vec![Gap::default(); geometry.solid_pairs.len()];
+    let mut near: Vec<(RelativeWay, Option<Near>)> = Vec::new();
+    near.resize_with(geometry.robot_solids.len() * obstacles, Default::default);
+    let mut pairs = vec![SolidPair::default(); geometry.solid_pairs.len()];
     for scenery in sceneries {
         for (index, (link, solid)) in geometry.robot_solids.iter().enumerate() {
             for (o, obstacle) in geometry.obstacles.iter().enumerate() {
@@ -97,15 +97,12 @@ pub fn deepest(geometry: &Geometry, sceneries: &[Scenery]) -> Penetration {
                 );
             }
         }
-        for (&(a, b), gap) in geometry.solid_pairs.iter().zip(&mut gaps) {
+        for (&(a, b), pair) in geometry.solid_pairs.iter().zip(&mut pairs) {
             let floor_m = worst.depth_m.max(TOUCH_M);
             let [link_a, link_b] = [a, b].map(|s| geometry.robot_solids[s].0);
             let travel = scenery.robot_travel[link_a] + scenery.robot_travel[link_b];
-            if gap.holds(travel) {
-                continue;
-            }
             let found =
-                pair_depth(geometry, &mut probe, &scenery.robot, [a, b], travel, gap, floor_m);
+                pair_depth(geometry, &mut probe, &scenery.robot, [a, b], travel, pair, floor_m);
             if let Some(depth_m) = found {
                 let [link_a, link_b] = [link_a, link_b].map(|link| &geometry.link_names[link]);
                 let place = scenery.place;
@@ -143,8 +140,8 @@ pub fn penetrating_links(
 ) -> Vec<[usize; 2]> {
     let mut probe = DepthProbe::default();
     let penetrating = geometry.solid_pairs.iter().filter(|&&(a, b)| {
-        let gap = &mut Gap::default();
-        pair_depth(geometry, &mut probe, robot, [a, b], 0.0, gap, tolerance_m).is_some()
+        let pair = &mut SolidPair::default();
+        pair_depth(geometry, &mut probe, robot, [a, b], 0.0, pair, tolerance_m).is_some()
     });
     penetrating.map(|&(a, b)| [geometry.robot_solids[a].0, geometry.robot_solids[b].0]).collect()
 }
@@ -155,12 +152,12 @@ fn pair_depth(
     robot: &[Frame],
     [a, b]: [usize; 2],
     travel: Travel,
-    gap: &mut Gap,
+    pair: &mut SolidPair,
     floor_m: f64,
 ) -> Option<f64> {
     let (link_a, solid_a) = &geometry.robot_solids[a];
     let (link_b, solid_b) = &geometry.robot_solids[b];
-    let b_from_a = robot[*link_b].inverse().then(&robot[*link_a]);
-    let found = solids_in_each_other(probe, solid_a, solid_b, &b_from_a, travel, gap, floor_m);
+    let b_from_a = || robot[*link_b].inverse().then(&robot[*link_a]);
+    let found = solids_in_each_other(probe, solid_a, solid_b, b_from_a, travel, pair, floor_m);
     found.map(|deepest| deepest.depth_m)
 }

@@ -6,7 +6,7 @@ use parry3d_f64::math::Vector;
 use crate::bodies::Obstacle;
 use crate::convex::{ConvexPiece, Deepest, DepthProbe, Plane};
 use crate::kinematics::Frame;
-use crate::travel::Travel;
+use crate::travel::{RelativeWay, Travel};
 
 /// Everything nearer than this is gathered at once, metres.
 const MARGIN_M: f64 = 0.04;
@@ -17,11 +17,14 @@ const NARROW_GAP_M: f64 = 0.002;
 /// … and a search ends at a gap of this size, metres.
 const WIDE_GAP_M: f64 = 0.02;
 
+/// A body that has not moved farther than this in the other's frame is where it was, metres.
+const SAME_PLACE_M: f64 = 1e-5;
+
 /// What is known about a pair of solids.
 #[derive(Debug, Clone, Copy)]
-pub struct Gap {
-    /// They are apart until their ways sum up to this.
-    free_until: Travel,
+struct Gap {
+    /// They are apart until the way of one in the other's frame is this long, metres.
+    free_until: f64,
     /// Faces of either solid that last had all of the other outside.
     faces: [u32; 2],
 }
@@ -32,11 +35,13 @@ impl Default for Gap {
     }
 }
 
-impl Gap {
-    /// True where the two solids cannot touch.
-    pub fn holds(&self, travel: Travel) -> bool {
-        travel < self.free_until
-    }
+/// What is known about a pair of solids of the robot.
+#[derive(Debug, Clone, Default)]
+pub struct SolidPair {
+    way: RelativeWay,
+    gap: Gap,
+    /// Length of the way when it was last looked at.
+    looked_at: Option<f64>,
 }
 
 /// The smallest distance of the corners of `a` from a face of `b`: of a face that separates them well enough, or else the
@@ -63,35 +68,57 @@ fn separation(a: &[Vector], planes: &[Plane], face: &mut u32) -> f64 {
 }
 
 /// The deepest point of either solid's surface inside the other, in the frame of `b`, if deeper than `floor_m`.
-/// `travel` is the sum of both ways.
+/// `travel` is the sum of both ways in the world; `b_from_a` is asked for only where they are near.
 pub fn solids_in_each_other(
     probe: &mut DepthProbe,
     a: &ConvexPiece,
     b: &ConvexPiece,
-    b_from_a: &Frame,
+    b_from_a: impl Fn() -> Frame,
     travel: Travel,
+    memory: &mut SolidPair,
+    floor_m: f64,
+) -> Option<Deepest> {
+    if memory.way.skips(travel) {
+        return None;
+    }
+    let frame = b_from_a();
+    let way = memory.way.follow(&a.bounds, &frame);
+    if way >= memory.gap.free_until && memory.looked_at.is_none_or(|at| way - at >= SAME_PLACE_M) {
+        memory.looked_at = Some(way);
+        let found = depth_in_each_other(probe, a, b, &frame, way, &mut memory.gap, floor_m);
+        if found.is_some() {
+            return found;
+        }
+    }
+    memory.way.skip(memory.gap.free_until.max(way), travel);
+    None
+}
+
+fn depth_in_each_other(
+    probe: &mut DepthProbe,
+    a: &ConvexPiece,
+    b: &ConvexPiece,
+    b_from_a: &Frame,
+    way: f64,
     memory: &mut Gap,
     floor_m: f64,
 ) -> Option<Deepest> {
-    if memory.holds(travel) {
-        return None;
-    }
     let apart = b_from_a.point(a.center).distance(b.center) - a.radius - b.radius;
     if apart > 0.0 {
-        memory.free_until = travel + apart;
+        memory.free_until = way + apart;
         return None;
     }
     let a_in_b = placed(&a.vertices, b_from_a);
     let gap = separation(&a_in_b, &b.planes, &mut memory.faces[0]);
     if gap > 0.0 {
-        memory.free_until = travel + gap;
+        memory.free_until = way + gap;
         return None;
     }
     let a_from_b = b_from_a.inverse();
     let b_in_a = placed(&b.vertices, &a_from_b);
     let other_gap = separation(&b_in_a, &a.planes, &mut memory.faces[1]);
     if other_gap > 0.0 {
-        memory.free_until = travel + other_gap;
+        memory.free_until = way + other_gap;
         return None;
     }
     if gap.max(other_gap) >= -floor_m {
@@ -109,22 +136,22 @@ fn surface_in_solid(
     a: &ConvexPiece,
     b: &ConvexPiece,
     b_from_a: &Frame,
-    travel: Travel,
+    way: f64,
     memory: &mut Gap,
     floor_m: f64,
 ) -> Option<Deepest> {
-    if memory.holds(travel) {
+    if way < memory.free_until {
         return None;
     }
     let apart = b_from_a.point(a.center).distance(b.center) - a.radius - b.radius;
     if apart > 0.0 {
-        memory.free_until = travel + apart;
+        memory.free_until = way + apart;
         return None;
     }
     let vertices = placed(&a.vertices, b_from_a);
     let gap = separation(&vertices, &b.planes, &mut memory.faces[0]);
     if gap > 0.0 {
-        memory.free_until = travel + gap;
+        memory.free_until = way + gap;
         return None;
     }
     if gap >= -floor_m { None } else { deepest_of(probe, a, &vertices, &b.planes, floor_m) }
@@ -167,16 +194,18 @@ struct NearTriangle {
     index: u32,
     /// The face of the solid that last kept it out, and for how long it does.
     face: u32,
-    free_until: Travel,
+    free_until: f64,
 }
 
 /// What of an obstacle is near a solid.
 #[derive(Debug)]
 pub struct Near {
-    /// Nothing else comes near until the ways sum up to this.
-    complete_until: Travel,
+    /// Nothing else comes near until the way of the solid in the obstacle's frame is this long, metres.
+    complete_until: f64,
     /// Nothing touches until then.
-    free_until: Travel,
+    free_until: f64,
+    /// Length of the way when it was last looked at.
+    looked_at: f64,
     triangles: Vec<NearTriangle>,
     solids: Vec<(u32, Gap)>,
 }
@@ -186,7 +215,7 @@ impl Near {
         solid: &ConvexPiece,
         obstacle: &Obstacle,
         obstacle_from_solid: &Frame,
-        travel: Travel,
+        way: f64,
         wanted: impl Fn(u32) -> bool,
     ) -> Self {
         let corners = solid.bounds.vertices().map(|corner| obstacle_from_solid.point(corner));
@@ -195,16 +224,18 @@ impl Near {
         let nothing = obstacle.triangle_bvh.intersect_aabb(&wide).next().is_none()
             && obstacle.solid_bvh.intersect_aabb(&wide).next().is_none();
         if nothing {
-            let complete_until = travel + WIDE_MARGIN_M;
+            let complete_until = way + WIDE_MARGIN_M;
             let (triangles, solids) = (Vec::new(), Vec::new());
-            return Self { complete_until, free_until: complete_until, triangles, solids };
+            let free_until = complete_until;
+            return Self { complete_until, free_until, looked_at: way, triangles, solids };
         }
         let reach = tight.add_half_extents(Vector::splat(MARGIN_M));
         let triangles = obstacle.triangle_bvh.intersect_aabb(&reach);
         let solids = obstacle.solid_bvh.intersect_aabb(&reach);
         Self {
-            complete_until: travel + MARGIN_M,
-            free_until: travel,
+            complete_until: way + MARGIN_M,
+            free_until: way,
+            looked_at: way,
             triangles: triangles
                 .filter(|&t| wanted(obstacle.triangle_owners[t as usize]))
                 .map(|index| NearTriangle { index, face: 0, free_until: f64::NEG_INFINITY })
@@ -217,10 +248,10 @@ impl Near {
     }
 
     /// Reports how deep the obstacle's surfaces reach into `solid`, and the solid's surface into the
-    /// obstacle's solids. `memory` belongs to this pair, `travel` is the sum of both ways; `obstacle_from_solid` is
-    /// asked for only where something is near.
+    /// obstacle's solids. `memory` belongs to this pair, `travel` is the sum of both ways in the world;
+    /// `obstacle_from_solid` is asked for only where something is near.
     pub fn visit(
-        memory: &mut Option<Self>,
+        (way, memory): &mut (RelativeWay, Option<Self>),
         probe: &mut DepthProbe,
         solid: &ConvexPiece,
         obstacle: &Obstacle,
@@ -228,28 +259,37 @@ impl Near {
         travel: Travel,
         intrusions: &mut impl Intrusions,
     ) {
-        if memory.as_ref().is_some_and(|near| travel < near.free_until) {
+        if way.skips(travel) {
             return;
         }
         let frame = obstacle_from_solid();
+        let length = way.follow(&solid.bounds, &frame);
         let near = match memory {
-            Some(near) if travel < near.complete_until => near,
+            Some(near) if length < near.complete_until => {
+                if length < near.free_until || length - near.looked_at < SAME_PLACE_M {
+                    way.skip(near.free_until.max(length), travel);
+                    return;
+                }
+                near
+            }
             _ => {
                 let wanted = |owner| intrusions.wanted(owner);
-                memory.insert(Self::gather(solid, obstacle, &frame, travel, wanted))
+                memory.insert(Self::gather(solid, obstacle, &frame, length, wanted))
             }
         };
-        near.surfaces_in(probe, solid, obstacle, &frame, travel, intrusions);
+        near.looked_at = length;
+        near.surfaces_in(probe, solid, obstacle, &frame, length, intrusions);
         for (index, gap) in &mut near.solids {
             let owner = obstacle.solid_owners[*index as usize];
             let other = &obstacle.solids[*index as usize];
             let floor_m = intrusions.floor_m(owner);
-            let found = surface_in_solid(probe, solid, other, &frame, travel, gap, floor_m);
+            let found = surface_in_solid(probe, solid, other, &frame, length, gap, floor_m);
             if let Some(deepest) = found {
                 intrusions.found(owner, deepest);
             }
         }
         near.update_free_until();
+        way.skip(near.free_until.max(length), travel);
     }
 
     fn update_free_until(&mut self) {
@@ -264,19 +304,19 @@ impl Near {
         solid: &ConvexPiece,
         obstacle: &Obstacle,
         obstacle_from_solid: &Frame,
-        travel: Travel,
+        way: f64,
         intrusions: &mut impl Intrusions,
     ) {
-        if self.triangles.iter().all(|t| travel < t.free_until) {
+        if self.triangles.iter().all(|t| way < t.free_until) {
             return;
         }
         let planes = moved_planes(&solid.planes, obstacle_from_solid);
-        for near in self.triangles.iter_mut().filter(|t| travel >= t.free_until) {
+        for near in self.triangles.iter_mut().filter(|t| way >= t.free_until) {
             let triangle = &obstacle.triangles[near.index as usize];
             let owner = obstacle.triangle_owners[near.index as usize];
             let gap = separation(triangle, &planes, &mut near.face);
             if gap > 0.0 {
-                near.free_until = travel + gap;
+                near.free_until = way + gap;
                 continue;
             }
             let floor_m = intrusions.floor_m(owner);

@@ -12,6 +12,7 @@ use crate::convex::{Deepest, DepthProbe};
 use crate::finding::Finding;
 use crate::judge::{Geometry, Scenery};
 use crate::near::{Intrusions, Near};
+use crate::travel::RelativeWay;
 
 /// Depth at the start by moving solid, obstacle and the obstacle's owner, metres.
 pub type StartDepths = HashMap<(usize, usize, u32), f64>;
@@ -53,7 +54,15 @@ pub fn start_depths(geometry: &Geometry, start: &Scenery) -> StartDepths {
             }
             let frame = || start.obstacle_from_world[o].then(&start.object[*link]);
             let mut recorder = Recorder { depths: &mut depths, solid, obstacle: o };
-            Near::visit(&mut None, &mut probe, piece, obstacle, frame, 0.0, &mut recorder);
+            Near::visit(
+                &mut Default::default(),
+                &mut probe,
+                piece,
+                obstacle,
+                frame,
+                0.0,
+                &mut recorder,
+            );
         }
     }
     depths
@@ -86,8 +95,8 @@ impl Intrusions for DeeperThanAtStart<'_> {
 pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Option<Finding> {
     let mut probe = DepthProbe::default();
     let obstacles = geometry.obstacles.len();
-    let mut near: Vec<Option<Near>> = Vec::new();
-    near.resize_with(geometry.moving_solids.len() * obstacles, || None);
+    let mut near: Vec<(RelativeWay, Option<Near>)> = Vec::new();
+    near.resize_with(geometry.moving_solids.len() * obstacles, Default::default);
     let mut before: Option<&Scenery> = None;
     for scenery in sceneries {
         if before.is_some_and(|before| before.object == scenery.object) {

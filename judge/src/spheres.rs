@@ -11,7 +11,7 @@ use crate::contacts::{Contact, LinkPairs};
 use crate::finding::Finding;
 use crate::judge::{Geometry, Scenery};
 use crate::kinematics::Frame;
-use crate::travel::Travel;
+use crate::travel::{RelativeWay, Travel};
 
 /// Distances are measured up to this far from a sphere's surface, metres.
 const REACH_M: f64 = 0.3;
@@ -33,30 +33,30 @@ struct Carried {
     spheres: Vec<usize>,
 }
 
-/// When spheres can have come to an obstacle at the earliest, given by the sum of both ways.
+/// When a link's spheres can have come to an obstacle at the earliest.
 #[derive(Clone)]
-struct FreeUntil {
-    all: Travel,
-    each: Vec<Travel>,
+struct Free {
+    way: RelativeWay,
+    /// Lengths of the link's way in the obstacle's frame, metres.
+    until: Vec<f64>,
 }
 
 /// The first overlap of a sphere with something it must not touch.
 pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Option<Finding> {
     let carried = carried(&geometry.spheres);
-    let mut free: Vec<Vec<FreeUntil>> = carried
+    let mut free: Vec<Vec<Free>> = carried
         .iter()
         .map(|c| {
-            let unknown = f64::NEG_INFINITY;
-            let each = vec![unknown; c.spheres.len()];
-            vec![FreeUntil { all: unknown, each }; geometry.obstacles.len()]
+            let until = vec![f64::NEG_INFINITY; c.spheres.len()];
+            vec![Free { way: RelativeWay::default(), until }; geometry.obstacles.len()]
         })
         .collect();
-    let mut apart_until = vec![f64::NEG_INFINITY; geometry.sphere_pairs.len()];
+    let mut apart = vec![(RelativeWay::default(), f64::NEG_INFINITY); geometry.sphere_pairs.len()];
     for scenery in sceneries {
         for (carried, free) in carried.iter().zip(&mut free) {
             for (o, free) in free.iter_mut().enumerate() {
                 let travel = scenery.robot_travel[carried.link] + scenery.obstacle_travel[o];
-                if travel >= free.all
+                if !free.way.skips(travel)
                     && let Some(finding) =
                         against_obstacle(geometry, scenery, carried, o, travel, tolerance_m, free)
                 {
@@ -64,13 +64,21 @@ pub fn check(geometry: &Geometry, sceneries: &[Scenery], tolerance_m: f64) -> Op
                 }
             }
         }
-        for (pair, apart_until) in geometry.sphere_pairs.iter().zip(&mut apart_until) {
-            let travel: f64 = pair.links.iter().map(|&link| scenery.robot_travel[link]).sum();
-            if travel < *apart_until {
+        for (pair, (way, apart_until)) in geometry.sphere_pairs.iter().zip(&mut apart) {
+            let [a, b] = pair.links;
+            let travel = scenery.robot_travel[a] + scenery.robot_travel[b];
+            let Some(bounds) = geometry.link_bounds[a].filter(|_| !way.skips(travel)) else {
+                continue;
+            };
+            let b_from_a = scenery.robot[b].inverse().then(&scenery.robot[a]);
+            let length = way.follow(&bounds, &b_from_a);
+            if length < *apart_until {
+                way.skip(*apart_until, travel);
                 continue;
             }
-            let gap = pair.gap(&geometry.spheres, &scenery.robot);
-            *apart_until = travel + gap + tolerance_m;
+            let gap = pair.gap(&geometry.spheres, &b_from_a);
+            *apart_until = length + gap + tolerance_m;
+            way.skip(*apart_until, travel);
             if gap < -tolerance_m {
                 let [link_a, link_b] = pair.links.map(|link| &geometry.link_names[link]);
                 return Some(Finding::new(
@@ -106,20 +114,22 @@ fn against_obstacle(
     o: usize,
     travel: Travel,
     tolerance_m: f64,
-    free: &mut FreeUntil,
+    free: &mut Free,
 ) -> Option<Finding> {
+    let bounds = geometry.link_bounds[carried.link]?;
     let obstacle = &geometry.obstacles[o];
     let contacts = &geometry.contacts[carried.link][o];
     let obstacle_from_link = scenery.obstacle_from_world[o].then(&scenery.robot[carried.link]);
-    for (&index, free_until) in carried.spheres.iter().zip(&mut free.each) {
-        if travel < *free_until {
+    let length = free.way.follow(&bounds, &obstacle_from_link);
+    for (&index, free_until) in carried.spheres.iter().zip(&mut free.until) {
+        if length < *free_until {
             continue;
         }
         let sphere = &geometry.spheres[index];
         let center = obstacle_from_link.point(Vector::from(sphere.center));
         let (distance, owner) = clearance(obstacle, contacts, center, sphere.radius + REACH_M);
         let gap = distance - sphere.radius;
-        *free_until = travel + gap + tolerance_m;
+        *free_until = length + gap + tolerance_m;
         if gap < -tolerance_m {
             let owner = owner.map_or("", |owner| &obstacle.owners[owner as usize].label);
             let link = &geometry.link_names[carried.link];
@@ -134,7 +144,7 @@ fn against_obstacle(
             ));
         }
     }
-    free.all = free.each.iter().copied().fold(f64::INFINITY, f64::min);
+    free.way.skip(free.until.iter().copied().fold(f64::INFINITY, f64::min), travel);
     None
 }
 
@@ -149,9 +159,7 @@ pub struct SpherePair {
 
 impl SpherePair {
     /// Smallest free distance between spheres of the two links, metres; negative where they overlap.
-    fn gap(&self, spheres: &[RobotSphere], robot: &[Frame]) -> f64 {
-        let [link_a, link_b] = self.links;
-        let b_from_a = robot[link_b].inverse().then(&robot[link_a]);
+    fn gap(&self, spheres: &[RobotSphere], b_from_a: &Frame) -> f64 {
         let [of_a, of_b] = &self.spheres;
         let mut gap = f64::INFINITY;
         for &a in of_a {
@@ -187,7 +195,10 @@ pub fn overlapping_links(
     pairs: &[SpherePair],
     robot: &[Frame],
 ) -> Vec<[usize; 2]> {
-    let overlaps = |pair: &&SpherePair| pair.gap(spheres, robot) < 0.0;
+    let overlaps = |pair: &&SpherePair| {
+        let [a, b] = pair.links;
+        pair.gap(spheres, &robot[b].inverse().then(&robot[a])) < 0.0
+    };
     pairs.iter().filter(overlaps).map(|pair| pair.links).collect()
 }
 
