@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 # The HDF5 library's build needs a CMake that not every distribution has: it finds the one in .venv.
 export PATH := $(VENV)/bin:$(PATH)
 
-.PHONY: build demo test lint format schema clean
+.PHONY: build demo test test-readers lint format schema clean
 
 # Installs the command and the Python package into .venv.
 build: $(VENV)/.tools
@@ -35,6 +35,19 @@ test: build
 	environment="$$(scripts/vulkan.sh)" && eval "$$environment" && \
 	    cargo test --release $(CARGO_TEST_FLAGS) && \
 	    AKROBAT_SAMPLE_DATASET=$(CURDIR)/target/release/examples/sample_dataset pytest $(PYTEST_FLAGS)
+
+# Reads exports of 20 real episodes with LeRobot, robomimic, PyTorch and zarr themselves, and trains two policies a
+# little: 5 GB of packages and some 20 minutes, so not part of `make test`. LeRobot needs Python 3.12.
+PYTHON312 ?= python3.12
+READERS := $(CURDIR)/.cache/readers
+EXPORTS ?= $(CURDIR)/.cache/exports
+test-readers: build
+	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[demo,export]"
+	test -x $(READERS)/bin/python || $(PYTHON312) -m venv $(READERS)
+	$(READERS)/bin/pip install --quiet --disable-pip-version-check -r tests/readers/requirements.txt
+	$(READERS)/bin/pip install --quiet --disable-pip-version-check --no-deps lerobot-doctor==0.2.0 robomimic==0.3.0
+	$(VENV)/bin/python tests/readers/make_exports.py $(EXPORTS)
+	AKROBAT_EXPORTS=$(EXPORTS) HF_HUB_OFFLINE=1 $(READERS)/bin/python -m pytest tests/readers
 
 lint: $(VENV)/.tools
 	cargo fmt --all --check

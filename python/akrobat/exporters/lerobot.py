@@ -197,6 +197,8 @@ class LeRobotWriter:
         _write_tasks(meta / "tasks.parquet", self._tasks)
         _write_json(meta / "stats.json", aggregate(self._statistics))
         _write_json(meta / "info.json", self._info())
+        # LeRobot warns about keys of info.json that it does not know.
+        _write_json(meta / "conventions.json", self._header["conventions"])
 
     def _info(self) -> dict[str, Any]:
         header = self._header
@@ -214,7 +216,6 @@ class LeRobotWriter:
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH,
             "features": self._features,
-            "conventions": header["conventions"],
         }
 
     def _feature(self, key: str, values: NDArray[Any]) -> dict[str, Any]:
