@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-TASKS = ["panda_cabinet_empty", "panda_refrigerator_empty"]
+TASKS = ["panda_cabinet_empty"]
 LADDER_RAD = [0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0]
 
 
