@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
 use crate::errors::to_python;
+use crate::trajectories::plain;
 
 /// A task with everything it names loaded, repaired and checked.
 #[pyclass(name = "Task", module = "akrobat", frozen)]
@@ -103,6 +104,7 @@ impl PyTask {
         };
         let entry = tree(py, &object.tree, &in_handle)?;
         entry.set_item("name", &object.name)?;
+        entry.set_item("kind", plain(py, &self.task.file.object.kind)?)?;
         entry.set_item("world_from_root", pose::to_xyz_wxyz(&object.world_from_root))?;
         entry.set_item("active_joint", &object.tree.joints()[object.active_joint].name)?;
         entry.set_item("handle_link", &object.tree.links()[object.handle_link].name)?;

@@ -14,10 +14,12 @@ import h5py
 import numpy as np
 import pytest
 from akrobat import InputError
-from akrobat.physics import PhysicsConfig, Replayer, poses, replay
+from akrobat.physics import PhysicsConfig, Replayer, World, poses, replay
 from akrobat.physics.audit import EpisodeAudit
 from akrobat.physics.replay import timeline
 from akrobat.physics.shapes import Detail, convex_pieces
+
+TASKS = Path(__file__).parents[2] / "configs" / "tasks"
 
 
 @pytest.fixture(scope="module")
@@ -241,6 +243,12 @@ def test_wrong_settings_are_refused(
     assert result.returncode == 2
     assert message in result.stderr
     assert not drawer_file.with_suffix(".audit.h5").exists()
+
+
+def test_objects_that_are_picked_up_are_refused(shared_assets: Path) -> None:
+    task = akrobat.Task.load(TASKS / "summit_chair_room.toml", [shared_assets])
+    with pytest.raises(InputError, match="its object is planar"):
+        World(task, PhysicsConfig.of())
 
 
 def test_wrong_arguments_are_refused(drawer_file: Path, shared_assets: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from akrobat import _core
-from akrobat.errors import RunError
+from akrobat.errors import InputError, RunError
 from akrobat.physics import poses
 from akrobat.physics.config import PhysicsConfig
 from akrobat.physics.passive import PassiveJoint, passive_joints
@@ -96,6 +96,11 @@ class World:
         self.config = config
         self.robot_description = task.robot()
         self.object_description = task.object()
+        if self.object_description["kind"] != "articulated":
+            kind = self.object_description["kind"]
+            raise InputError(
+                f"task {task.name}: its object is {kind}; physics drives articulated objects only"
+            )
         self.shape_errors: list[ShapeErrors] = []
         self._pad = self._material(2.0 * config.pad_friction - config.surface_friction)
         self._surface = self._material(config.surface_friction)
