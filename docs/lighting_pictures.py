@@ -1,7 +1,7 @@
-"""Makes docs/images/lighting.png: one frame in the light of every preset.
+"""Makes docs/images/lighting.png: one frame in the light of several presets.
 
-    akrobat plan configs/tasks/summit_microwave_kitchen.toml -o microwave.h5 --limit 2 --assets ASSETS
-    python docs/lighting_pictures.py microwave.h5 --assets ASSETS
+akrobat plan configs/tasks/summit_microwave_kitchen.toml -o microwave.h5 --limit 2 --assets ASSETS
+python docs/lighting_pictures.py microwave.h5 --assets ASSETS --presets even flat sun evening
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 PRESETS = ["even", "flat", "sun", "ceiling", "studio", "evening"]
-COLUMNS = 3
+COLUMNS = 2
 
 
 def picture(arguments: argparse.Namespace, preset: str) -> Image.Image:
@@ -26,7 +26,6 @@ def picture(arguments: argparse.Namespace, preset: str) -> Image.Image:
             Path(folder) / "dataset",
             backend="soft",
             lighting=preset,
-            supersampling=3,
             episodes=[0],
             manipulation_only=True,
             assets=arguments.assets,
@@ -45,10 +44,11 @@ def main() -> None:
     )
     parser.add_argument("trajectories", type=Path, help="trajectory file")
     parser.add_argument("--assets", type=Path, action="append", default=[], help="asset folder")
+    parser.add_argument("--presets", nargs="+", default=PRESETS, help="lightings to show")
     images = Path(__file__).parent / "images"
     parser.add_argument("--output", type=Path, default=images / "lighting.png")
     arguments = parser.parse_args()
-    pictures = [picture(arguments, preset) for preset in PRESETS]
+    pictures = [picture(arguments, preset) for preset in arguments.presets]
     width, height = pictures[0].size
     rows = -(-len(pictures) // COLUMNS)
     sheet = Image.new("RGB", (COLUMNS * width, rows * height))
