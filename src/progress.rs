@@ -115,9 +115,10 @@ impl Stage {
 
 fn new_bar(total: Option<u64>) -> ProgressBar {
     let (bar, template) = match total {
-        Some(total) => {
-            (ProgressBar::new(total), "{msg:>24} [{bar:32}] {pos}/{len} {elapsed} (left: {eta})")
-        }
+        Some(total) => (
+            ProgressBar::new(total),
+            "{msg:>24} [{bar:32}] {pos}/{len} {per_sec:.1} {elapsed} (left: {eta})",
+        ),
         None => (ProgressBar::new_spinner(), "{msg:>24} {spinner} {pos} {elapsed}"),
     };
     let style = ProgressStyle::with_template(template).expect("the templates are valid");

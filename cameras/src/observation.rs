@@ -96,8 +96,8 @@ impl SegmentTable {
         let mut table = Self::default();
         for label in labels {
             let instance = match label.group.as_str() {
-                "scene" => label.name.as_str(),
-                group => group,
+                group @ ("robot" | "object") => group,
+                _ => label.name.as_str(),
             };
             let ids =
                 [number(&mut table.instances, instance), number(&mut table.classes, &label.class)];

@@ -154,8 +154,8 @@ impl Default for Stereo {
             large_step_cost: 20,
             uniqueness_percent: 5,
             left_right_px: 1.0,
-            dots_per_rad: 110.0,
-            dot_intensity: 1.0,
+            dots_per_rad: 90.0,
+            dot_intensity: 2.0,
             infrared_noise: 0.01,
             max_m: 10.0,
         }

@@ -1,6 +1,6 @@
 //! What is known of an episode before its first frame, and how it is to be stored.
 
-use akrobat_cameras::{Rig, SegmentLabel};
+use akrobat_cameras::{Modality, Rig, SegmentLabel};
 use akrobat_model::Pose;
 use akrobat_model::robot::BaseKind;
 use serde::{Deserialize, Serialize};
@@ -50,8 +50,12 @@ pub struct EpisodeInfo {
     pub world_from_robot_root: Pose,
     /// The cameras.
     pub rig: Rig,
+    /// Images of every camera that are stored in HDF5 shards.
+    pub modalities: Vec<Modality>,
     /// Points of every frame's cloud; 0 where there are none.
     pub cloud_points: usize,
+    /// What is stored of each point.
+    pub cloud: CloudLayout,
     /// What the segment ids stand for.
     pub labels: Vec<SegmentLabel>,
     /// The task file's text.
@@ -61,6 +65,26 @@ pub struct EpisodeInfo {
     pub provenance: serde_json::Value,
     /// Files that MCAP logs carry along: URDFs, for instance.
     pub attachments: Vec<Attachment>,
+}
+
+/// What is stored of the points of a cloud.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CloudLayout {
+    /// Frame of positions and normals: `world`, `base` or `camera`, which is the rig's first.
+    pub frame: String,
+    /// How the points were chosen.
+    pub sampling: String,
+    /// Whether they have colours.
+    pub color: bool,
+    /// Whether they have normals.
+    pub normals: bool,
+}
+
+impl Default for CloudLayout {
+    fn default() -> Self {
+        let (frame, sampling) = ("world".into(), "farthest".into());
+        Self { frame, sampling, color: true, normals: false }
+    }
 }
 
 /// A file carried in an MCAP log.

@@ -17,7 +17,7 @@ mod whole_file;
 mod whole_folder;
 
 pub use dataset::{DatasetConfig, DatasetReader, DatasetWriter, check_writable, validate};
-pub use episode::{Attachment, DepthEncoding, EpisodeInfo};
+pub use episode::{Attachment, CloudLayout, DepthEncoding, EpisodeInfo};
 pub use error::PackError;
 pub use mcap_log::{ColorEncoding, McapWriter};
 pub use shard::ShardWriter;

@@ -4,6 +4,7 @@ from importlib.metadata import version
 
 from akrobat._core import Task, Trajectories, Trajectory
 from akrobat.api import open, plan, render
+from akrobat.cameras import farthest_points, fuse, project, unproject
 from akrobat.dataset import Dataset, Episode
 from akrobat.errors import AkrobatError, InputError, RunError
 
@@ -18,7 +19,11 @@ __all__ = [
     "Trajectories",
     "Trajectory",
     "__version__",
+    "farthest_points",
+    "fuse",
     "open",
     "plan",
+    "project",
     "render",
+    "unproject",
 ]

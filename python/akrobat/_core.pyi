@@ -157,6 +157,10 @@ def render(
     variation_seed: int,
     appearance: Path | None,
     supersampling: int,
+    sensor: str,
+    modalities: Sequence[str],
+    cloud: str,
+    seed: int,
     format: str,
     episodes: Sequence[int] | None,
     manipulation_only: bool,
@@ -168,6 +172,23 @@ def render(
     quiet: bool,
 ) -> dict[str, Any]:
     """Renders a trajectory file; see `akrobat.render`."""
+
+def project(rig: str, camera: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pixel positions `[N, 2]` of camera-frame points `[N, 3]`."""
+
+def unproject(rig: str, camera: str, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rays `(x, y, 1)`, as `[N, 2]`, of pixel positions `[N, 2]`."""
+
+def farthest_points(points: NDArray[np.float32], count: int) -> NDArray[np.uintp]:
+    """Indices of farthest-point samples."""
+
+def fuse(
+    depth_m: NDArray[np.float32],
+    intrinsics: NDArray[np.float64],
+    world_from_camera: NDArray[np.float64],
+    cloud: str,
+) -> NDArray[np.float32]:
+    """A cloud `[N, 3]` from the depth images of several cameras."""
 
 def run(argv: Sequence[str]) -> int:
     """Runs the command line `argv` (the program's name first) and returns its exit code."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from akrobat import _core
 from akrobat.dataset import Dataset
@@ -57,6 +58,10 @@ def render(
     variation_seed: int = 0,
     appearance: StrPath | None = None,
     supersampling: Literal[1, 3, 5] = 1,
+    sensor: StrPath = "ideal",
+    modalities: Sequence[str] = ("rgb", "depth", "segmentation"),
+    cloud: Mapping[str, Any] | None = None,
+    seed: int = 0,
     format: Literal["hdf5", "mcap"] = "hdf5",
     episodes: Sequence[int] | None = None,
     manipulation_only: bool = False,
@@ -80,6 +85,12 @@ def render(
     :param appearance: JSON file of what an earlier run drew (`renderer.appearance` of an episode's
         provenance)
     :param supersampling: colour is the mean of this many samples along either edge of a pixel
+    :param sensor: what becomes of ideal images: the name of a preset or a sensor file (`akrobat
+        schema sensor`)
+    :param modalities: images in HDF5 shards
+    :param cloud: settings of the fused clouds that differ from the defaults, such as
+        `{"points": 1024, "frame": "base"}` (`cloud` in `akrobat schema job`)
+    :param seed: seed of sensors and mounting errors
     :param format: which files hold the episodes
     :param episodes: positions in the trajectory file; all where absent
     :param manipulation_only: leave out approach and grasp
@@ -104,6 +115,10 @@ def render(
                 variation_seed=variation_seed,
                 appearance=appearance,
                 supersampling=supersampling,
+                sensor=sensor,
+                modalities=modalities,
+                cloud=cloud,
+                seed=seed,
                 format=format,
                 episodes=episodes,
                 manipulation_only=manipulation_only,
@@ -124,6 +139,10 @@ def render(
         variation_seed=variation_seed,
         appearance=None if appearance is None else Path(appearance),
         supersampling=supersampling,
+        sensor=str(sensor),
+        modalities=list(modalities),
+        cloud=json.dumps(dict(cloud or {})),
+        seed=seed,
         format=format,
         episodes=None if episodes is None else list(episodes),
         manipulation_only=manipulation_only,

@@ -3,8 +3,12 @@
 use std::path::PathBuf;
 
 use akrobat::CancelToken;
-use akrobat::pipeline::{self, BackendChoice, Context, Format, PlanRequest, RenderRequest, States};
+use akrobat::pipeline::{
+    self, BackendChoice, Context, EpisodeFilter, EpisodeList, Format, PlanRequest, RenderRequest,
+    States,
+};
 use akrobat::progress::{Progress, Verbosity};
+use akrobat_cameras::Modality;
 use clap::ValueEnum;
 use pyo3::prelude::*;
 
@@ -34,7 +38,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, format, episodes, manipulation_only, states, episodes_per_shard, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, sensor, modalities, cloud, seed, format, episodes, manipulation_only, states, episodes_per_shard, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -47,6 +51,10 @@ pub fn render<'py>(
     variation_seed: u64,
     appearance: Option<PathBuf>,
     supersampling: u32,
+    sensor: String,
+    modalities: Vec<String>,
+    cloud: &str,
+    seed: u64,
     format: &str,
     episodes: Option<Vec<usize>>,
     manipulation_only: bool,
@@ -70,8 +78,16 @@ pub fn render<'py>(
         supersampling: supersampling
             .try_into()
             .map_err(|message| InputError::new_err(format!("supersampling: {message}")))?,
+        sensor: Some(sensor),
+        modalities: modalities.iter().map(|name| modality(name)).collect::<PyResult<_>>()?,
+        cloud: serde_json::from_str(cloud)
+            .map_err(|e| to_python(akrobat::Error::Usage(format!("cloud: {e}"))))?,
+        seed,
         format: choice::<Format>("format", format)?,
-        episodes,
+        filter: EpisodeFilter {
+            episodes: episodes.map(EpisodeList::from),
+            ..EpisodeFilter::default()
+        },
         manipulation_only,
         states: choice::<States>("states", states)?,
         episodes_per_shard,
@@ -80,6 +96,14 @@ pub fn render<'py>(
     };
     let report = run(py, quiet, |context| pipeline::render(&request, context))?;
     plain(py, &report)
+}
+
+fn modality(name: &str) -> PyResult<Modality> {
+    Modality::from_name(name).ok_or_else(|| {
+        let choices = Modality::ALL.map(Modality::name).join(", ");
+        let message = format!("unknown modality \"{name}\"; valid choices: {choices}");
+        to_python(akrobat::Error::Usage(message))
+    })
 }
 
 fn run<T: Send>(

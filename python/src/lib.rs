@@ -1,6 +1,7 @@
 //! `akrobat._core`: registers with Python what the Rust crates do. No logic of its own.
 
 mod api;
+mod cameras;
 mod command_line;
 mod errors;
 mod export;
@@ -19,6 +20,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use crate::api::{plan, render};
+    #[pymodule_export]
+    use crate::cameras::{farthest_points, fuse, project, unproject};
     #[pymodule_export]
     use crate::command_line::run;
     #[pymodule_export]

@@ -8,7 +8,7 @@ use akrobat_model::task::Task;
 use akrobat_model::trajectory::{Grasp, PathSample, Phase};
 use akrobat_renderer::handle::Handle;
 use akrobat_renderer::placement::PlacedRig;
-use akrobat_renderer::pointcloud::{CloudConfig, fuse};
+use akrobat_renderer::pointcloud::{CloudConfig, CloudPlace, fuse};
 use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{Backend, FrameState, RenderError, RenderScene, SoftBackend};
 use numpy::{PyArray, PyArrayMethods};
@@ -85,7 +85,11 @@ impl PyObserver {
             let state = Replay::new(&self.task, &self.scene).at_sample(0, 0.0, sample);
             let mut backend = self.backend.lock().unwrap_or_else(PoisonError::into_inner);
             let frames = backend.render(&self.scene, &state, &self.rig.at(&state))?;
-            let cloud = fuse(&frames, &self.handle.position(&state), &self.cloud);
+            let place = CloudPlace {
+                handle: self.handle.position(&state),
+                world_from_base: state.world_from_base,
+            };
+            let cloud = fuse(&frames, &place, &self.cloud).points;
             Ok((frames, cloud))
         });
         let (frames, cloud) = seen.map_err(render_error)?;

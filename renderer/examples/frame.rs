@@ -16,7 +16,7 @@ use akrobat_model::trajectory::{Grasp, PathSample};
 use akrobat_model::{Phase, Pose};
 use akrobat_renderer::handle::{Handle, handle_visibility};
 use akrobat_renderer::placement::PlacedRig;
-use akrobat_renderer::pointcloud::{CloudConfig, fuse};
+use akrobat_renderer::pointcloud::{CloudConfig, CloudPlace, fuse};
 use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{Backend, FrameState, RenderScene, SoftBackend};
 use image::{Rgb, RgbImage};
@@ -54,7 +54,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     time_renderings(&mut backend, &scene, &frame, &cameras)?;
     let start = Instant::now();
-    let cloud = fuse(&images, &handle.position(&frame), &CloudConfig::default());
+    let place =
+        CloudPlace { handle: handle.position(&frame), world_from_base: frame.world_from_base };
+    let cloud = fuse(&images, &place, &CloudConfig::default()).points;
     println!("cloud of {} points: {:.1} ms", cloud.len(), 1e3 * start.elapsed().as_secs_f64());
     top_view(&cloud).save(out.join("cloud_top.png"))?;
     Ok(())

@@ -3,6 +3,8 @@
 use akrobat_cameras::RigError;
 use akrobat_model::ModelError;
 
+use crate::gates::Refusal;
+
 /// Why frames could not be rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
@@ -27,6 +29,16 @@ pub enum RenderError {
         scene: String,
         /// What was expected and what was got.
         message: String,
+    },
+    /// A frame is unfit for a dataset.
+    #[error("trajectory {id}, frame {frame}: {refusal}")]
+    Refused {
+        /// Identity of the trajectory.
+        id: String,
+        /// Number of the frame.
+        frame: u32,
+        /// What is wrong with it.
+        refusal: Refusal,
     },
     /// The backend's device is missing or failed.
     #[error("backend {backend}: {message}")]

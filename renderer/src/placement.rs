@@ -1,6 +1,6 @@
 //! From a rig to cameras at their places.
 
-use akrobat_cameras::{CameraMount, CameraSpec, PoseValues, Reference, Rig};
+use akrobat_cameras::{CameraMount, CameraSpec, Jitter, PoseValues, Reference, Rig};
 use akrobat_model::task::Task;
 use akrobat_model::{ModelError, Pose};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -9,6 +9,7 @@ use crate::backend::PlacedCamera;
 use crate::handle::{HANDLE_DEPTH_TOLERANCE_M, Handle};
 use crate::raycast::first_hit;
 use crate::replay::base_link;
+use crate::seed::{Normal, Seed};
 use crate::{FrameState, RenderError, RenderScene};
 
 /// A frame of the robot that can carry a camera.
@@ -40,10 +41,19 @@ enum Anchor {
     World(Pose),
 }
 
+/// One camera of a rig on a robot, in a world.
+#[derive(Debug, Clone)]
+struct MountedCamera {
+    spec: CameraSpec,
+    anchor: Anchor,
+    /// Error of the mounting: the camera as it is, in the frame of the camera as it should be.
+    jitter: Pose,
+}
+
 /// A rig's cameras on a robot, in a world.
 #[derive(Debug, Clone)]
 pub struct PlacedRig {
-    cameras: Vec<(CameraSpec, Anchor)>,
+    cameras: Vec<MountedCamera>,
 }
 
 impl PlacedRig {
@@ -92,13 +102,34 @@ impl PlacedRig {
                 }
             })
         };
-        let cameras = rig.cameras.iter().map(|camera| Ok((camera.clone(), anchor(camera)?)));
-        Ok(Self { cameras: cameras.collect::<Result<_, RenderError>>()? })
+        let mounted = |camera: &CameraSpec| -> Result<MountedCamera, RenderError> {
+            let (spec, jitter) = (camera.clone(), Pose::identity());
+            Ok(MountedCamera { spec, anchor: anchor(camera)?, jitter })
+        };
+        Ok(Self { cameras: rig.cameras.iter().map(mounted).collect::<Result<_, _>>()? })
+    }
+
+    /// Draws the errors of the mountings for one episode.
+    #[must_use]
+    pub fn jittered(mut self, episode: Seed) -> Self {
+        for camera in &mut self.cameras {
+            if let Some(jitter) = &camera.spec.jitter {
+                let seed = episode.name(&camera.spec.name).name("jitter");
+                camera.jitter = drawn(jitter, seed);
+            }
+        }
+        self
+    }
+
+    /// The error of each camera's mounting, in the rig's order: its pose in the frame of the camera as
+    /// specified.
+    pub fn jitter(&self) -> impl Iterator<Item = (&CameraSpec, &Pose)> {
+        self.cameras.iter().map(|camera| (&camera.spec, &camera.jitter))
     }
 
     /// The cameras at one frame, in the rig's order.
     pub fn at(&self, frame: &FrameState) -> Vec<PlacedCamera> {
-        let place = |(camera, anchor): &(CameraSpec, Anchor)| PlacedCamera {
+        let place = |MountedCamera { spec: camera, anchor, jitter }: &MountedCamera| PlacedCamera {
             name: camera.name.clone(),
             intrinsics: camera.intrinsics(),
             near_m: camera.near_m,
@@ -112,11 +143,18 @@ impl PlacedRig {
                     look_at(&eye, &Point3::from(frame.world_from_tool.translation.vector))
                 }
                 Anchor::World(world_from_camera) => world_from_camera,
-            },
+            } * jitter,
             normals: false,
         };
         self.cameras.iter().map(place).collect()
     }
+}
+
+fn drawn(jitter: &Jitter, seed: Seed) -> Pose {
+    let (mut random, mut normal) = (seed.stream(), Normal::default());
+    let mut vector = |deviation: f64| Vector3::from_fn(|_, _| deviation * normal.next(&mut random));
+    let (position, rotation) = (vector(jitter.position_m), vector(jitter.rotation_rad));
+    Pose::from_parts(position.into(), UnitQuaternion::from_scaled_axis(rotation))
 }
 
 fn pose_of(camera: &CameraSpec, values: &PoseValues) -> Result<Pose, ModelError> {

@@ -6,20 +6,25 @@ mod common;
 
 use std::path::Path;
 
-use akrobat_cameras::Rig;
+use akrobat_cameras::{CameraFrame, Rig};
 use akrobat_model::fixtures::shared_assets;
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::trajectory::{DensePath, Grasp};
 use akrobat_model::{JointPath, Phase, Pose, Shape, Trajectory};
 use akrobat_renderer::handle::{HandleVisibility, handle_visibility};
-use akrobat_renderer::pointcloud::{CloudConfig, fuse};
+use akrobat_renderer::pointcloud::{
+    CloudConfig, CloudFrame, CloudPlace, CloudSampling, farthest_indices, fuse,
+};
 use akrobat_renderer::replay::Replay;
-use akrobat_renderer::{Backend, EpisodeConfig, EpisodeRenderer, RenderScene, SoftBackend};
+use akrobat_renderer::{
+    Backend, EpisodeConfig, EpisodeRenderer, FrameState, PlacedCamera, RenderError, RenderScene,
+    SoftBackend,
+};
 use common::{World, at, camera, primitive};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 /// A ball of radius 0.5 m at `(2, 0, 0)`, seen by two cameras from its front and its side.
-fn ball() -> Vec<akrobat_cameras::CameraFrame> {
+fn ball() -> Vec<CameraFrame> {
     let meshes = primitive(Shape::Sphere { radius: 0.5 }, [0.8, 0.1, 0.1]);
     let (scene, frame) = World::default().body("ball", meshes, at(2.0, 0.0, 0.0)).build();
     let cameras = [
@@ -29,6 +34,12 @@ fn ball() -> Vec<akrobat_cameras::CameraFrame> {
     SoftBackend::new().render(&scene, &frame, &cameras).unwrap()
 }
 
+/// A handle here, and a base that stands a metre to the side of the origin and is turned.
+fn place(handle: Point3<f64>) -> CloudPlace {
+    let world_from_base = common::turned(at(0.0, 1.0, 0.0), 0.0, 0.0, 0.5);
+    CloudPlace { handle, world_from_base }
+}
+
 fn distance(p: &[f32; 6], q: [f32; 3]) -> f32 {
     (0..3).map(|i| (p[i] - q[i]) * (p[i] - q[i])).sum::<f32>().sqrt()
 }
@@ -36,7 +47,7 @@ fn distance(p: &[f32; 6], q: [f32; 3]) -> f32 {
 #[test]
 fn fused_points_lie_on_the_surface_and_cover_it() {
     let images = ball();
-    let cloud = fuse(&images, &Point3::origin(), &CloudConfig::default());
+    let cloud = fuse(&images, &place(Point3::origin()), &CloudConfig::default()).points;
     assert_eq!(cloud.len(), 4096);
     for point in &cloud {
         // The 32 x 16 facets lie up to 1 cm inside the sphere.
@@ -69,13 +80,14 @@ fn fused_points_lie_on_the_surface_and_cover_it() {
 fn clouds_are_cropped_and_filled_up() {
     let images = ball();
     let config = CloudConfig { points: 500, radius_m: Some(0.2), ..CloudConfig::default() };
-    let cloud = fuse(&images, &Point3::new(1.5, 0.0, 0.0), &config);
+    let cloud = fuse(&images, &place(Point3::new(1.5, 0.0, 0.0)), &config).points;
     assert_eq!(cloud.len(), 500);
     assert!(cloud.iter().all(|p| distance(p, [1.5, 0.0, 0.0]) <= 0.2));
 
     let region = Some([1.5, -0.01, -0.01, 2.0, 0.01, 0.01]);
     let few = CloudConfig { points: 4096, region, ..CloudConfig::default() };
-    let cloud = fuse(&images, &Point3::origin(), &few);
+    let origin = place(Point3::origin());
+    let cloud = fuse(&images, &origin, &few).points;
     let distinct: std::collections::HashSet<_> =
         cloud.iter().map(|p| p.map(f32::to_bits)).collect();
     assert!(distinct.len() > 3 && distinct.len() < 400, "{}", distinct.len());
@@ -83,9 +95,83 @@ fn clouds_are_cropped_and_filled_up() {
     assert_eq!(cloud[0], cloud[distinct.len()]);
 
     let nothing = CloudConfig { region: Some([9.0; 6]), ..CloudConfig::default() };
-    assert_eq!(fuse(&images, &Point3::origin(), &nothing), vec![[0.0; 6]; 4096]);
+    assert_eq!(fuse(&images, &origin, &nothing).points, vec![[0.0; 6]; 4096]);
     let none = CloudConfig { points: 0, ..CloudConfig::default() };
-    assert!(fuse(&images, &Point3::origin(), &none).is_empty());
+    assert!(fuse(&images, &origin, &none).points.is_empty());
+}
+
+#[test]
+fn clouds_come_in_the_frame_asked_for_with_colours_and_normals() {
+    let mut images = ball();
+    for image in &mut images {
+        let rays = akrobat_renderer::layers::rays(&image.model());
+        image.normals = akrobat_renderer::layers::normals_from_depth(image, &rays);
+    }
+    let place = place(Point3::origin());
+    let world = fuse(&images, &place, &CloudConfig { normals: true, ..CloudConfig::default() });
+    for (point, normal) in world.points.iter().zip(&world.normals) {
+        let outward: Vec<f32> = (0..3).map(|i| (point[i] - [2.0, 0.0, 0.0][i]) / 0.5).collect();
+        let cosine: f32 = (0..3).map(|i| outward[i] * normal[i]).sum();
+        assert!(cosine > 0.8, "{point:?} {normal:?}");
+    }
+    for (frame, world_from_frame) in [
+        (CloudFrame::Base, place.world_from_base),
+        (CloudFrame::Camera, images[0].world_from_camera),
+    ] {
+        let config = CloudConfig { frame, color: false, normals: true, ..CloudConfig::default() };
+        let cloud = fuse(&images, &place, &config);
+        let from_world = |p: &[f32; 6]| {
+            let p = world_from_frame.cast::<f32>() * Point3::new(p[0], p[1], p[2]);
+            world.points.iter().map(|q| distance(q, p.into())).fold(f32::INFINITY, f32::min)
+        };
+        assert!(cloud.points.iter().step_by(100).all(|p| from_world(p) < 0.03), "{frame:?}");
+        assert!(cloud.points.iter().all(|p| p[3..] == [0.0; 3]));
+        assert_eq!(cloud.normals.len(), 4096);
+    }
+}
+
+#[test]
+fn voxel_sampling_spreads_points_evenly_too() {
+    let images = ball();
+    let config =
+        CloudConfig { sampling: CloudSampling::Voxel, points: 500, ..CloudConfig::default() };
+    let cloud = fuse(&images, &place(Point3::origin()), &config).points;
+    let distinct: std::collections::HashSet<_> =
+        cloud.iter().map(|p| p.map(f32::to_bits)).collect();
+    assert!(distinct.len() > 490, "{}", distinct.len());
+    let nearest = |i: usize| {
+        let p = cloud[i];
+        let others = (0..cloud.len()).filter(|&j| j != i);
+        others.map(|j| distance(&cloud[j], [p[0], p[1], p[2]])).fold(f32::INFINITY, f32::min)
+    };
+    let mut gaps: Vec<f32> = (0..cloud.len()).map(nearest).collect();
+    gaps.sort_by(f32::total_cmp);
+    // Half a ball of 0.5 m and more, in 500 voxels: edges of some 6 cm.
+    assert!((0.02..0.09).contains(&gaps[250]), "{}", gaps[250]);
+}
+
+/// Distance of the point that is farthest from all chosen ones.
+fn coverage_radius(points: &[[f32; 3]], chosen: &[usize]) -> f32 {
+    let square =
+        |a: [f32; 3], b: [f32; 3]| (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f32>();
+    let nearest =
+        |&p: &[f32; 3]| chosen.iter().map(|&c| square(p, points[c])).fold(f32::INFINITY, f32::min);
+    points.iter().map(nearest).fold(0.0, f32::max).sqrt()
+}
+
+#[test]
+fn farthest_points_cover_better_than_any_even_choice() {
+    let images = ball();
+    let config =
+        CloudConfig { points: 20_000, sampling: CloudSampling::Voxel, ..CloudConfig::default() };
+    let points: Vec<[f32; 3]> = fuse(&images, &place(Point3::origin()), &config)
+        .points
+        .iter()
+        .map(|p| [p[0], p[1], p[2]])
+        .collect();
+    let farthest = coverage_radius(&points, &farthest_indices(&points, 300));
+    let even: Vec<usize> = (0..300).map(|i| i * points.len() / 300).collect();
+    assert!(farthest < 0.75 * coverage_radius(&points, &even), "{farthest}");
 }
 
 #[test]
@@ -154,6 +240,48 @@ fn pulled_drawer(task: &akrobat_model::task::Task, robot: &[f64]) -> Trajectory 
     }
 }
 
+/// Draws everything a metre lower than it is.
+struct Stale(SoftBackend);
+
+impl Backend for Stale {
+    fn name(&self) -> &str {
+        "stale"
+    }
+
+    fn render(
+        &mut self,
+        scene: &RenderScene,
+        frame: &FrameState,
+        cameras: &[PlacedCamera],
+    ) -> Result<Vec<CameraFrame>, RenderError> {
+        let mut wrong = frame.clone();
+        for pose in &mut wrong.world_from_body {
+            pose.translation.z -= 1.0;
+        }
+        self.0.render(scene, &wrong, cameras)
+    }
+}
+
+/// Draws without any light.
+struct Dark(SoftBackend);
+
+impl Backend for Dark {
+    fn name(&self) -> &str {
+        "dark"
+    }
+
+    fn render(
+        &mut self,
+        scene: &RenderScene,
+        frame: &FrameState,
+        cameras: &[PlacedCamera],
+    ) -> Result<Vec<CameraFrame>, RenderError> {
+        let mut images = self.0.render(scene, frame, cameras)?;
+        images.iter_mut().for_each(|image| image.rgb.fill(0));
+        Ok(images)
+    }
+}
+
 #[test]
 fn an_episode_in_the_kitchen_keeps_the_handle_in_view() {
     let Some(shared) = shared_assets() else { return };
@@ -180,6 +308,16 @@ fn an_episode_in_the_kitchen_keeps_the_handle_in_view() {
     }
     let way = (travelled[30] - travelled[0]).norm();
     assert!((way - task.file.goal.positions[0]).abs() < 1e-6, "{way}");
+
+    // Robot and drawer are where the trajectory has them; a picture of another frame is refused.
+    let checked = EpisodeConfig { check_frames: true, ..EpisodeConfig::default() };
+    let renderer = EpisodeRenderer::new(&task, &scene, &rig, checked);
+    let episode = renderer.episode(&trajectory).unwrap();
+    episode.observe(30, &mut backend).unwrap();
+    let message = episode.observe(30, &mut Stale(SoftBackend::new())).unwrap_err().to_string();
+    assert!(message.contains("pose_differs") && message.contains("frame 30"), "{message}");
+    let message = episode.observe(3, &mut Dark(SoftBackend::new())).unwrap_err().to_string();
+    assert!(message.contains("black_frame") && message.contains("ego_topdown"), "{message}");
 
     let mut broken = trajectory.clone();
     broken.dense.robot.values_mut()[4] = f32::NAN;

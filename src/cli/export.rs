@@ -7,8 +7,8 @@ use clap::Args;
 use serde_json::json;
 
 use super::Report;
-use super::render::{Episodes, parse_episodes};
 use crate::Error;
+use crate::pipeline::EpisodeList;
 use crate::pipeline::{self, Context, ExportRequest};
 
 /// Write a dataset in the layout that a trainer or tool reads.
@@ -38,8 +38,8 @@ pub struct ExportArgs {
     #[command(flatten)]
     config: ExportConfig,
     /// Positions among the stored episodes, such as `0,5-9`; all where absent.
-    #[arg(long, value_name = "LIST", value_parser = parse_episodes)]
-    episodes: Option<Episodes>,
+    #[arg(long, value_name = "LIST")]
+    episodes: Option<EpisodeList>,
     /// Export although the licence of an asset forbids commercial use.
     #[arg(long)]
     allow_non_commercial: bool,
@@ -55,7 +55,7 @@ pub fn run(args: &ExportArgs, context: &Context<'_>) -> Result<Report, Error> {
         format: args.to,
         output: args.output.clone(),
         config: args.config.clone(),
-        episodes: args.episodes.clone().map(|Episodes(list)| list),
+        episodes: args.episodes.clone().map(Vec::from),
         allow_non_commercial: args.allow_non_commercial,
         assets: args.assets.clone(),
     };

@@ -1,5 +1,7 @@
 //! `akrobat inspect`: what is in a file.
 
+mod rig;
+
 use std::path::{Path, PathBuf};
 
 use akrobat_model::{Trajectory, TrajectorySet, Verdict};
@@ -9,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::Report;
 use crate::Error;
-use crate::pipeline::{self, BackendChoice, Context, ReportRequest};
+use crate::pipeline::{self, BackendChoice, Context, ReportRequest, SurveyRequest};
 use crate::report::ReportOptions;
 
 /// Tell what is in a trajectory file, and show it.
@@ -18,48 +20,76 @@ use crate::report::ReportOptions;
 ///   akrobat inspect drawer.h5                  counts, goals, worst values the judge found
 ///   akrobat inspect drawer.h5 --json           the same, and every trajectory, for machines
 ///   akrobat inspect drawer.h5 --report look/   a page with pictures and plots: look/report.html
+///   akrobat inspect --rig my_rig.toml          the cameras of a rig
+///   akrobat inspect --rig ring drawer.h5       where they are and what each sees of a trajectory
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct InspectArgs {
     /// Trajectory file, as `akrobat plan` writes it.
-    file: PathBuf,
+    #[arg(required_unless_present = "rig")]
+    file: Option<PathBuf>,
     /// Folder where a page is written, with animated pictures and models of some trajectories.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     /// Trajectories with pictures, spread over the file.
     #[arg(long, value_name = "N", requires = "report", default_value_t = ReportOptions::default().shown)]
     show: usize,
-    /// Cameras of the pictures: a preset's name or a rig file.
-    #[arg(long, value_name = "NAME|FILE", requires = "report", default_value = "paper")]
-    rig: String,
+    /// A rig, a preset's name or a file: tell where its cameras are and what each sees. Pictures of the report
+    /// are taken with it (with `paper` where absent).
+    #[arg(long, value_name = "NAME|FILE")]
+    rig: Option<String>,
+    /// The trajectory that the rig's cameras look at: its position in the file.
+    #[arg(long, value_name = "N", requires = "rig", default_value_t = 0)]
+    episode: usize,
     /// Which renderer draws the pictures.
-    #[arg(long, value_enum, requires = "report", default_value_t)]
+    #[arg(long, value_enum, default_value_t)]
     backend: BackendChoice,
     /// Folder where assets are looked up, besides the task's own; may be repeated. Then come the folders
     /// in $AKROBAT_ASSET_PATH (separated by colons).
-    #[arg(long, value_name = "DIR", requires = "report")]
+    #[arg(long, value_name = "DIR")]
     assets: Vec<PathBuf>,
 }
 
 /// Runs the verb.
 pub fn run(args: &InspectArgs, context: &Context<'_>) -> Result<Report, Error> {
-    let set = trajectory_file::read(&args.file)?;
-    let (mut text, mut json) = (text(&args.file, &set), json(&set));
-    if let Some(folder) = &args.report {
-        let files = pipeline::report(&report_request(args, folder), context)?;
+    let (mut text, mut json) = match &args.file {
+        Some(file) => {
+            let set = trajectory_file::read(file)?;
+            (text(file, &set), json(&set))
+        }
+        None => (String::new(), json!({})),
+    };
+    if let Some(rig) = &args.rig {
+        let survey = pipeline::survey(&survey_request(args, rig), context)?;
+        text += if text.is_empty() { "" } else { "\n" };
+        text += &rig::text(&survey);
+        json["rig"] = serde_json::to_value(&survey).unwrap_or_default();
+    }
+    if let (Some(file), Some(folder)) = (&args.file, &args.report) {
+        let files = pipeline::report(&report_request(args, file, folder), context)?;
         text += &format!("\n  page    {}", files[0].display());
         json["report"] = json!(files);
     }
     Ok(Report::done(text, json))
 }
 
-fn report_request(args: &InspectArgs, folder: &Path) -> ReportRequest {
-    ReportRequest {
+fn survey_request(args: &InspectArgs, rig: &str) -> SurveyRequest {
+    SurveyRequest {
+        rig: rig.to_owned(),
         trajectories: args.file.clone(),
+        episode: args.episode,
+        assets: args.assets.clone(),
+        backend: args.backend,
+    }
+}
+
+fn report_request(args: &InspectArgs, file: &Path, folder: &Path) -> ReportRequest {
+    ReportRequest {
+        trajectories: file.to_path_buf(),
         output: folder.to_path_buf(),
         assets: args.assets.clone(),
         backend: args.backend,
-        rig: Some(args.rig.clone()),
+        rig: args.rig.clone(),
         options: ReportOptions { shown: args.show, ..ReportOptions::default() },
         run: None,
     }

@@ -9,6 +9,7 @@ mod inspect;
 mod plan;
 mod render;
 mod replay;
+mod run;
 mod schema;
 mod validate;
 
@@ -50,6 +51,7 @@ enum Command {
     Export(export::ExportArgs),
     Card(export::CardArgs),
     Import(import::ImportArgs),
+    Run(run::RunArgs),
     Inspect(inspect::InspectArgs),
     Validate(validate::ValidateArgs),
     Schema(schema::SchemaArgs),
@@ -109,6 +111,7 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Export(args) => export::run(args, context),
         Command::Card(args) => export::run_card(args, context),
         Command::Import(args) => import::run(args, context),
+        Command::Run(args) => run::run(args, context),
         Command::Validate(args) => validate::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Schema(args) => schema::run(args),

@@ -5,8 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Report;
-use super::render::{Episodes, parse_episodes};
-use crate::pipeline::{self, Context, PhysicsConfig, ReplayReport, ReplayRequest};
+use crate::pipeline::{self, Context, EpisodeList, PhysicsConfig, ReplayReport, ReplayRequest};
 use crate::{Error, ExitCode};
 
 /// Drive trajectories through physics and audit what happens.
@@ -35,8 +34,8 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
     /// Positions in the trajectory file, such as `0,5-9`; all where absent.
-    #[arg(long, value_name = "LIST", value_parser = parse_episodes)]
-    episodes: Option<Episodes>,
+    #[arg(long, value_name = "LIST")]
+    episodes: Option<EpisodeList>,
     /// Controller gains and contact properties (TOML).
     #[arg(long, value_name = "FILE")]
     gains: Option<PathBuf>,
@@ -56,7 +55,7 @@ pub fn run(args: &ReplayArgs, context: &Context<'_>) -> Result<Report, Error> {
         output: args.output.clone(),
         page: args.page.clone(),
         assets: args.assets.clone(),
-        episodes: args.episodes.clone().map(|Episodes(list)| list),
+        episodes: args.episodes.clone().map(Vec::from),
         config,
         workers: usize::from(args.workers),
     };

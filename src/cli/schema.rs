@@ -42,6 +42,8 @@ enum Kind {
     Lighting,
     /// What is drawn at random for each episode.
     Variation,
+    /// Jobs of `akrobat run`.
+    Job,
     /// The `[planner]` table of task files.
     Planner,
     /// The judge's tolerances.
@@ -59,6 +61,7 @@ impl Kind {
             Self::Sensor => "sensor",
             Self::Lighting => "lighting",
             Self::Variation => "variation",
+            Self::Job => "job",
             Self::Planner => "planner",
             Self::Judge => "judge",
             Self::Physics => "physics",
@@ -73,6 +76,7 @@ impl Kind {
             Self::Sensor => schemars::schema_for!(akrobat_cameras::Sensor),
             Self::Lighting => schemars::schema_for!(akrobat_renderer::Lighting),
             Self::Variation => schemars::schema_for!(akrobat_renderer::Variation),
+            Self::Job => schemars::schema_for!(crate::pipeline::JobFile),
             Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
             Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
             Self::Physics => schemars::schema_for!(crate::pipeline::PhysicsConfig),

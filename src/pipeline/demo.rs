@@ -7,8 +7,8 @@ use akrobat_assets::demo::{self, DemoPaths};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BackendChoice, Context, Format, PlanRequest, RenderReport, RenderRequest, ReportRequest, plan,
-    render, report,
+    BackendChoice, Context, EpisodeFilter, Format, PlanRequest, RenderReport, RenderRequest,
+    ReportRequest, plan, render, report,
 };
 use crate::Error;
 use crate::report::{IndexEntry, ReportOptions, RunDetails, write_index};
@@ -162,7 +162,10 @@ fn run_task(
             assets: assets.clone(),
             backend: request.backend,
             format: Format::Both,
-            episodes: Some((0..request.episodes.min(accepted)).collect()),
+            filter: EpisodeFilter {
+                episodes: Some((0..request.episodes.min(accepted)).collect::<Vec<_>>().into()),
+                ..EpisodeFilter::default()
+            },
             ..RenderRequest::default()
         },
         context,

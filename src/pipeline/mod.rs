@@ -2,6 +2,7 @@
 
 mod bench_plan;
 mod demo;
+mod episodes;
 mod evaluate;
 mod export;
 mod import;
@@ -11,7 +12,9 @@ mod planned;
 mod render;
 mod replay;
 mod report;
+mod run;
 mod simulated;
+mod survey;
 
 use std::path::{Path, PathBuf};
 
@@ -22,6 +25,7 @@ use crate::{Error, Host};
 
 pub use bench_plan::{PlanBenchReport, PlanBenchRequest, ProblemResult, bench_plan};
 pub use demo::{DemoReport, DemoRequest, DemoRobotChoice, DemoTask, demo};
+pub use episodes::{EpisodeFilter, EpisodeList};
 pub use evaluate::{EvalJob, evaluate};
 pub use export::{ExportReport, ExportRequest, card, export};
 pub use import::{ImportReport, ImportRequest, import};
@@ -34,6 +38,8 @@ pub use replay::{
     JointGains, PhysicsConfig, ReplayJob, ReplayReport, ReplayRequest, audit_path, replay,
 };
 pub use report::{ReportRequest, report};
+pub use run::{JobFile, RenderSettings, RunOutput, RunReport, RunRequest, Variants, run};
+pub use survey::{CameraSurvey, Survey, SurveyRequest, ViewSurvey, survey};
 
 /// Folders of assets, separated like those of `PATH`.
 pub const ASSET_PATH_VARIABLE: &str = "AKROBAT_ASSET_PATH";

@@ -3,34 +3,38 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use akrobat_cameras::Rig;
+use akrobat_cameras::{Modality, Rig, Sensor};
 use akrobat_model::events::{Event, Observer};
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::task::Task;
-use akrobat_model::{ModelError, Rejection, Trajectory, TrajectorySet};
+use akrobat_model::{ModelError, Rejection, Trajectory, TrajectorySet, pose};
 use akrobat_packager::dataset::{Container, DatasetConfig, DatasetWriter, Licence, Status};
-use akrobat_packager::{Attachment, EpisodeInfo, trajectory_file};
+use akrobat_packager::{Attachment, CloudLayout, EpisodeInfo, trajectory_file};
+use akrobat_renderer::pointcloud::CloudConfig;
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{
-    Appearance, Backend, EpisodeConfig, EpisodeRenderer, Lighting, RenderError, RenderScene,
-    SoftBackend, Supersampling, Variation,
+    Appearance, Backend, Episode, EpisodeConfig, EpisodeRenderer, Lighting, RenderError,
+    RenderScene, SoftBackend, Supersampling, Variation,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::episodes::EpisodeFilter;
 use super::{Context, folder_of, on_threads, simulated};
 use crate::Error;
 
-/// Frames that a backend is handed at once, and that are held in memory: 3 cameras of 320 x 240
-/// take 60 MB.
-const BATCH_FRAMES: usize = 32;
+/// The light of scenes for which nothing is said.
+pub(super) const DEFAULT_LIGHTING: &str = "even";
 
 /// Name of the progress stage.
 const STAGE: &str = "rendering";
 
 /// Which renderer draws.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum BackendChoice {
     /// `wgpu` where there is a graphics processor, else `soft`.
@@ -45,7 +49,9 @@ pub enum BackendChoice {
 }
 
 /// Which files hold the episodes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Format {
     /// HDF5 shards.
@@ -58,7 +64,9 @@ pub enum Format {
 }
 
 /// Which states of robot and object are rendered.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum States {
     /// Those of the plan.
@@ -91,10 +99,18 @@ pub struct RenderRequest {
     pub appearance: Option<PathBuf>,
     /// Colour is the mean of this many samples along either edge of a pixel: 1, 3 or 5.
     pub supersampling: Supersampling,
+    /// A sensor preset's name or a sensor file; `ideal` where absent.
+    pub sensor: Option<String>,
+    /// Images that are stored in HDF5 shards; colour, depth and segmentation where empty.
+    pub modalities: Vec<Modality>,
+    /// Fused clouds.
+    pub cloud: CloudConfig,
+    /// Seed of sensors and mounting errors.
+    pub seed: u64,
     /// Which files hold the episodes.
     pub format: Format,
-    /// Positions in the trajectory file; all where absent.
-    pub episodes: Option<Vec<usize>>,
+    /// Which trajectories are rendered.
+    pub filter: EpisodeFilter,
     /// Render only the manipulation, without approach and grasp.
     pub manipulation_only: bool,
     /// Whether what was planned is shown, or what the robot did in physics.
@@ -109,7 +125,7 @@ pub struct RenderRequest {
 }
 
 /// What rendering gave.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct RenderReport {
     /// Dataset folders, one for each container.
     pub datasets: Vec<PathBuf>,
@@ -121,12 +137,21 @@ pub struct RenderReport {
     pub resumed: u64,
     /// Episodes left out because the judge had refused them.
     pub filtered: u64,
+    /// Episodes left out because a frame was unfit, and why.
+    pub quarantined: Vec<String>,
     /// Frames written by this run.
     pub frames: u64,
     /// Images drawn by this run.
     pub images: u64,
     /// Wall time, seconds.
     pub seconds: f64,
+}
+
+impl RenderReport {
+    /// True where nothing that was asked for is missing.
+    pub fn is_complete(&self) -> bool {
+        self.filtered == 0 && self.quarantined.is_empty()
+    }
 }
 
 /// Replays a trajectory file, renders it and writes a dataset.
@@ -136,80 +161,157 @@ pub struct RenderReport {
 /// asked to stop; whole shards are kept then.
 pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderReport, Error> {
     let mut set = trajectory_file::read(&request.trajectories)?;
-    let episodes = request.episodes.as_deref();
-    let selected = super::selection(&request.trajectories, episodes, set.trajectories.len())?;
-    let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
-    let search = context.asset_search(&request.assets)?;
-    let task_path = task_path(&request.trajectories, &set);
-    let task = load::task_from_text(set.header.task_toml.clone(), &task_path, &search)?;
-    check_unchanged(&request.trajectories, &set, &task)?;
+    let selected = request.filter.select(&request.trajectories, &set)?;
     let unfit = match request.states {
         States::Planned => BTreeMap::new(),
         States::Simulated => simulated::replace_paths(&request.trajectories, &mut set)?,
     };
-    let links = task.robot.tree.links().iter().map(|link| link.name.as_str());
-    rig.validate_links(links).map_err(|error| Error::Render(error.into()))?;
+    let variant = Variant::load(request)?;
+    let source = Source::load(&request.trajectories, set, &request.assets, context)?;
+    variant.check_fits(&source)?;
     let backend = open_backend(request.backend, context)?;
-    let lighting = Lighting::named(request.lighting.as_deref().unwrap_or("even"))?;
-    let look = Look::new(request)?;
-    let backend = request.supersampling.over(backend);
-    let scene = RenderScene::from_task(&task)?.lit_by(&lighting);
-    let provenance = provenance(&set, &scene, backend.name(), request);
-    let attachments = attachments(&task, &task_path, &search)?;
-    let job = Job {
-        request,
-        set: &set,
-        task: &task,
-        scene: &scene,
-        rig: &rig,
-        unfit,
-        look,
-        provenance,
-        attachments,
-        observer: context.observer,
-    };
-    on_threads(request.threads, || job.run(&selected, backend))
+    let mut backend = request.supersampling.over(backend);
+    let scene = variant.lit(&source.scene);
+    on_threads(request.threads, || {
+        let (scene, observer) = (&scene, context.observer);
+        let job =
+            Job { request, source: &source, scene, variant: &variant, unfit: &unfit, observer };
+        job.run(&selected, backend.as_mut())
+    })
 }
 
-struct Job<'a> {
-    request: &'a RenderRequest,
-    set: &'a TrajectorySet,
-    task: &'a Task,
-    scene: &'a RenderScene,
-    rig: &'a Rig,
-    /// Why episodes are left out, by position.
-    unfit: BTreeMap<usize, String>,
-    look: Look,
-    provenance: serde_json::Value,
+/// A trajectory file and what it was planned with.
+pub(super) struct Source {
+    pub set: TrajectorySet,
+    pub task: Task,
+    pub scene: RenderScene,
     attachments: Vec<Attachment>,
-    observer: &'a dyn Observer,
+}
+
+impl Source {
+    /// Loads what a trajectory file was planned with.
+    pub fn load(
+        path: &Path,
+        set: TrajectorySet,
+        assets: &[PathBuf],
+        context: &Context<'_>,
+    ) -> Result<Self, Error> {
+        let search = context.asset_search(assets)?;
+        let task_path = task_path(path, &set);
+        let task = load::task_from_text(set.header.task_toml.clone(), &task_path, &search)?;
+        check_unchanged(path, &set, &task)?;
+        let scene = RenderScene::from_task(&task)?;
+        let attachments = attachments(&task, &task_path, &search)?;
+        Ok(Self { set, task, scene, attachments })
+    }
+}
+
+/// How a trajectory file is rendered, apart from the file.
+#[derive(Debug, Clone)]
+pub(super) struct Variant {
+    pub rig: Rig,
+    pub lighting: Lighting,
+    pub config: EpisodeConfig,
+}
+
+impl Variant {
+    /// Reads and checks the files that a request names.
+    pub fn load(request: &RenderRequest) -> Result<Self, Error> {
+        request.cloud.check().map_err(|message| Error::Usage(format!("cloud: {message}")))?;
+        let modalities = match request.modalities.as_slice() {
+            [] => Modality::DEFAULT.to_vec(),
+            given => given.to_vec(),
+        };
+        let config = EpisodeConfig {
+            manipulation_only: request.manipulation_only,
+            cloud: request.cloud.clone(),
+            modalities,
+            sensor: load_sensor(request.sensor.as_deref().unwrap_or("ideal"))?,
+            seed: request.seed,
+            check_frames: true,
+            ..EpisodeConfig::default()
+        };
+        let lighting = Lighting::named(request.lighting.as_deref().unwrap_or(DEFAULT_LIGHTING))?;
+        let rig = load_rig(request.rig.as_deref().unwrap_or("paper"))?;
+        Ok(Self { rig, lighting, config })
+    }
+
+    /// A scene in the variant's light.
+    pub fn lit(&self, scene: &RenderScene) -> RenderScene {
+        scene.lit_by(&self.lighting)
+    }
+
+    /// Whether the rig fits the robot.
+    pub fn check_fits(&self, source: &Source) -> Result<(), Error> {
+        let links = source.task.robot.tree.links().iter().map(|link| link.name.as_str());
+        self.rig.validate_links(links).map_err(|error| Error::Render(error.into()))
+    }
+
+    /// Frames that are handed to a backend at once: as many as take some 64 MB of images.
+    fn batch_frames(&self) -> usize {
+        const BATCH_BYTES: usize = 64 << 20;
+        // Colour, depth and segment, and twice that while lenses and sensors work on them.
+        const BASE_BYTES: usize = 3 * (3 + 4 + 2);
+        let layers: usize = self.config.modalities.iter().map(|m| 4 * m.channels()).sum();
+        let exposures = match &self.config.sensor.color.motion_blur {
+            Some(blur) => blur.samples as usize,
+            None => 1,
+        };
+        let pixels: usize = self.rig.cameras.iter().map(|c| c.intrinsics().pixels()).sum();
+        let frame_bytes = pixels * (BASE_BYTES * exposures + layers);
+        (BATCH_BYTES / frame_bytes.max(1)).clamp(1, 32)
+    }
+
+    /// Refuses rigs that no trajectory could be rendered with: a camera that is inside a body from the
+    /// first frame on.
+    pub fn check_placement(&self, source: &Source, index: usize) -> Result<(), Error> {
+        let renderer =
+            EpisodeRenderer::new(&source.task, &source.scene, &self.rig, self.config.clone());
+        let episode = renderer.episode(&source.set.trajectories[index])?;
+        match episode.camera_inside(0) {
+            None => Ok(()),
+            Some(refusal) => Err(Error::Usage(format!(
+                "rig \"{}\": {refusal} at frame 0 of episode {index}; move it, or see where it is with \
+                 `akrobat inspect --rig`",
+                self.rig.name
+            ))),
+        }
+    }
+}
+
+pub(super) struct Job<'a> {
+    pub request: &'a RenderRequest,
+    pub source: &'a Source,
+    /// The source's scene, with its own light.
+    pub scene: &'a RenderScene,
+    pub variant: &'a Variant,
+    /// Why episodes are left out, by position.
+    pub unfit: &'a BTreeMap<usize, String>,
+    pub observer: &'a dyn Observer,
 }
 
 impl Job<'_> {
-    fn run(
+    /// Renders the trajectories at these positions.
+    pub fn run(
         &self,
         selected: &[usize],
-        mut backend: Box<dyn Backend>,
+        backend: &mut dyn Backend,
     ) -> Result<RenderReport, Error> {
         let started = std::time::Instant::now();
-        let config = EpisodeConfig {
-            manipulation_only: self.request.manipulation_only,
-            ..EpisodeConfig::default()
-        };
-        let trajectories = || selected.iter().map(|&index| (index, &self.set.trajectories[index]));
+        let (set, config) = (&self.source.set, &self.variant.config);
+        if let Some(&first) = selected.first() {
+            self.variant.check_placement(self.source, first)?;
+        }
+        let look = Look::new(self.request)?;
+        let trajectories = || selected.iter().map(|&index| (index, &set.trajectories[index]));
         let frames: usize = trajectories()
             .map(|(_, t)| t.frame_times(config.rate_hz, config.manipulation_only).len())
             .sum();
-        let (datasets, mut writers) = self.open_writers()?;
+        let (datasets, mut writers) = self.open_writers(backend.name())?;
         let mut report = RenderReport {
             datasets,
             backend: backend.name().to_owned(),
-            episodes: 0,
-            resumed: 0,
-            filtered: 0,
-            frames: 0,
-            images: 0,
-            seconds: 0.0,
+            ..RenderReport::default()
         };
         self.observer.event(&Event::StageStarted { stage: STAGE, total: Some(frames as u64) });
         for (index, trajectory) in trajectories() {
@@ -226,38 +328,38 @@ impl Job<'_> {
                 report.filtered += 1;
                 continue;
             }
-            let (scene, provenance) = self.look.of(self, trajectory)?;
-            let renderer = EpisodeRenderer::new(self.task, &scene, self.rig, config.clone());
+            let (scene, appearance) = look.of(self, trajectory)?;
+            let renderer = self.renderer(&scene);
             let episode = renderer.episode(trajectory)?;
-            let frames = episode.frame_count();
-            let info = EpisodeInfo {
-                labels: scene.segment_labels(),
-                provenance,
-                ..self.info(index, trajectory, frames, &config)
-            };
+            let mut info = self.info(index, &episode, backend.name());
+            info.labels = scene.segment_labels();
+            if let Some(appearance) = appearance {
+                info.provenance["renderer"]["lighting"] = json!(appearance.lighting);
+                info.provenance["renderer"]["appearance"] = json!(appearance);
+            }
             let mut open: Vec<&mut DatasetWriter> =
                 writers.iter_mut().filter(|w| !w.contains(&trajectory.id)).collect();
             for writer in &mut open {
                 writer.begin_episode(info.clone())?;
             }
-            for first in (0..episode.frame_count()).step_by(BATCH_FRAMES) {
-                if self.observer.cancelled() {
-                    return Err(interrupted(&self.request.output));
-                }
-                let batch = first..(first + BATCH_FRAMES).min(episode.frame_count());
-                for observation in episode.observe_batch(batch, backend.as_mut())? {
-                    report.images += observation.cameras.len() as u64;
+            match self.render_episode(&episode, &mut open, backend, &mut report) {
+                Ok(()) => {
                     for writer in &mut open {
-                        writer.push(observation.clone())?;
+                        writer.finish_episode()?;
                     }
-                    report.frames += 1;
+                    report.episodes += 1;
                 }
-                self.observer.event(&Event::Progress { stage: STAGE, done: report.frames });
+                Err(Error::Render(RenderError::Refused { id, frame, refusal })) => {
+                    let reason = format!("frame {frame}: {refusal}");
+                    let message = format!("episode {id} is left out: {reason}");
+                    self.observer.event(&Event::Warning { message: &message });
+                    for writer in &mut open {
+                        writer.abandon_episode(&reason)?;
+                    }
+                    report.quarantined.push(format!("{id}: {reason}"));
+                }
+                Err(error) => return Err(error),
             }
-            for writer in &mut open {
-                writer.finish_episode()?;
-            }
-            report.episodes += 1;
         }
         for writer in writers {
             writer.close()?;
@@ -267,8 +369,67 @@ impl Job<'_> {
         Ok(report)
     }
 
+    fn renderer<'b>(&'b self, scene: &'b RenderScene) -> EpisodeRenderer<'b> {
+        let config = self.variant.config.clone();
+        EpisodeRenderer::new(&self.source.task, scene, &self.variant.rig, config)
+    }
+
+    fn render_episode(
+        &self,
+        episode: &Episode<'_>,
+        open: &mut [&mut DatasetWriter],
+        backend: &mut dyn Backend,
+        report: &mut RenderReport,
+    ) -> Result<(), Error> {
+        let batch_frames = self.variant.batch_frames();
+        for first in (0..episode.frame_count()).step_by(batch_frames) {
+            if self.observer.cancelled() {
+                return Err(interrupted(&self.request.output));
+            }
+            let batch = first..(first + batch_frames).min(episode.frame_count());
+            for observation in episode.observe_batch(batch, backend)? {
+                report.images += observation.cameras.len() as u64;
+                let (last, others) = open.split_last_mut().expect("there is a writer");
+                for writer in others {
+                    writer.push(observation.clone())?;
+                }
+                last.push(observation)?;
+                report.frames += 1;
+            }
+            self.observer.event(&Event::Progress { stage: STAGE, done: report.frames });
+        }
+        Ok(())
+    }
+
+    /// Renders some frames, spread over a trajectory, and stores them as a small dataset: what a frame costs.
+    pub fn sample(
+        &self,
+        index: usize,
+        frames: u32,
+        folder: &Path,
+        backend: &mut dyn Backend,
+    ) -> Result<u32, Error> {
+        let renderer = self.renderer(self.scene);
+        let episode = renderer.episode(&self.source.set.trajectories[index])?;
+        let count = frames.min(episode.frame_count() as u32);
+        let mut info = self.info(index, &episode, backend.name());
+        info.frames = count;
+        let mut writer =
+            DatasetWriter::create(folder, self.dataset_config(Container::Hdf5, backend.name()))?;
+        writer.begin_episode(info)?;
+        for frame in 0..count {
+            let place = frame as usize * episode.frame_count() / count as usize;
+            let mut observation = episode.observe(place, backend)?;
+            observation.frame = frame;
+            writer.push(observation)?;
+        }
+        writer.finish_episode()?;
+        writer.close()?;
+        Ok(count)
+    }
+
     /// One writer for each container, with its folder.
-    fn open_writers(&self) -> Result<(Vec<PathBuf>, Vec<DatasetWriter>), Error> {
+    fn open_writers(&self, backend: &str) -> Result<(Vec<PathBuf>, Vec<DatasetWriter>), Error> {
         let output = &self.request.output;
         let places = match self.request.format {
             Format::Hdf5 => vec![(output.clone(), Container::Hdf5)],
@@ -279,7 +440,7 @@ impl Job<'_> {
         };
         let mut writers = Vec::new();
         for (folder, container) in &places {
-            let config = self.dataset_config(*container);
+            let config = self.dataset_config(*container, backend);
             let open =
                 if self.request.resume { DatasetWriter::resume } else { DatasetWriter::create };
             writers.push(open(folder, config)?);
@@ -287,9 +448,9 @@ impl Job<'_> {
         Ok((places.into_iter().map(|(folder, _)| folder).collect(), writers))
     }
 
-    fn dataset_config(&self, container: Container) -> DatasetConfig {
-        let file = &self.task.file;
-        let robot = &self.task.robot;
+    fn dataset_config(&self, container: Container, backend: &str) -> DatasetConfig {
+        let task = &self.source.task;
+        let (file, robot) = (&task.file, &task.robot);
         let licences = vec![
             Licence {
                 asset: robot.name.clone(),
@@ -297,16 +458,17 @@ impl Job<'_> {
                 source: robot.file.source.clone(),
             },
             Licence {
-                asset: self.task.object.name.clone(),
+                asset: task.object.name.clone(),
                 license: file.object.license.clone(),
                 source: String::new(),
             },
         ];
-        let defaults = DatasetConfig::new(&self.set.header.task_name, self.rig.clone());
+        let name = &self.source.set.header.task_name;
+        let defaults = DatasetConfig::new(name, self.variant.rig.clone());
         DatasetConfig {
             container,
             licences,
-            provenance: self.provenance.clone(),
+            provenance: self.provenance(backend),
             episodes_per_shard: self
                 .request
                 .episodes_per_shard
@@ -315,20 +477,38 @@ impl Job<'_> {
         }
     }
 
-    fn info(
-        &self,
-        index: usize,
-        trajectory: &Trajectory,
-        frames: usize,
-        config: &EpisodeConfig,
-    ) -> EpisodeInfo {
-        let header = &self.set.header;
+    fn provenance(&self, backend: &str) -> serde_json::Value {
+        let header = &self.source.set.header;
+        let config = &self.variant.config;
+        json!({
+            "akrobat": env!("CARGO_PKG_VERSION"),
+            "content_hashes": header.content_hashes,
+            "planner": { "backend": header.backend, "config": header.planner_config, "seed": header.seed },
+            "renderer": {
+                "backend": backend,
+                "lighting": self.scene.lighting,
+                "supersampling": self.request.supersampling,
+            },
+            "states": self.request.states,
+            "sensor": config.sensor,
+            "cloud": config.cloud,
+            "render_seed": config.seed,
+            "phases": if config.manipulation_only { "manipulate" } else { "all" },
+        })
+    }
+
+    fn info(&self, index: usize, episode: &Episode<'_>, backend: &str) -> EpisodeInfo {
+        let Source { set, task, attachments, .. } = self.source;
+        let (header, trajectory) = (&set.header, &set.trajectories[index]);
+        let Variant { rig, config, .. } = self.variant;
+        let mut provenance = self.provenance(backend);
+        provenance["drawn"] = drawn(episode);
         EpisodeInfo {
             id: trajectory.id.clone(),
             success: trajectory.verdict.as_ref().is_some_and(|verdict| verdict.accepted()),
             seed: trajectory.seed,
             traj_index: index as u32,
-            frames: frames as u32,
+            frames: episode.frame_count() as u32,
             frame_rate_hz: config.rate_hz,
             grasp_id: trajectory.grasp.id,
             grasp_link: trajectory.grasp.link.clone(),
@@ -340,18 +520,36 @@ impl Job<'_> {
             robot_id: header.robot_id.clone(),
             base_kind: header.base_kind,
             robot_joints: header.robot_joints.clone(),
-            finger_joints: self.task.robot.gripper_joints.len(),
+            finger_joints: task.robot.gripper_joints.len(),
             object_joints: header.object_joints.clone(),
             active_joint: header.active_joint.clone(),
-            world_from_robot_root: self.task.robot.world_from_root,
-            rig: self.rig.clone(),
+            world_from_robot_root: task.robot.world_from_root,
+            rig: rig.clone(),
+            modalities: config.modalities.clone(),
             cloud_points: config.cloud.points,
+            cloud: CloudLayout {
+                frame: config.cloud.frame.name().into(),
+                sampling: config.cloud.sampling.name().into(),
+                color: config.cloud.color,
+                normals: config.cloud.normals,
+            },
             labels: self.scene.segment_labels(),
             task_toml: header.task_toml.clone(),
-            provenance: self.provenance.clone(),
-            attachments: self.attachments.clone(),
+            provenance,
+            attachments: attachments.clone(),
         }
     }
+}
+
+/// What was drawn at random for an episode: exposure and errors of the mountings.
+fn drawn(episode: &Episode<'_>) -> serde_json::Value {
+    let mountings: serde_json::Map<String, serde_json::Value> = episode
+        .rig()
+        .jitter()
+        .filter(|(spec, _)| spec.jitter.is_some())
+        .map(|(spec, jitter)| (spec.name.clone(), json!(pose::to_xyz_wxyz(jitter))))
+        .collect();
+    json!({ "exposure_gain": episode.exposure_gain(), "mount_from_camera": mountings })
 }
 
 /// What episodes look like.
@@ -379,30 +577,25 @@ impl Look {
         }
     }
 
-    /// The scene of an episode, and its provenance, which holds all that was drawn.
+    /// The scene of an episode, and what was drawn for it.
     fn of(
         &self,
         job: &Job<'_>,
         trajectory: &Trajectory,
-    ) -> Result<(RenderScene, serde_json::Value), Error> {
-        let drawn;
-        let appearance: &Appearance = match self {
-            Self::Plain => return Ok((job.scene.clone(), job.provenance.clone())),
-            Self::Recorded(appearance) => appearance,
+    ) -> Result<(RenderScene, Option<Appearance>), Error> {
+        let appearance = match self {
+            Self::Plain => return Ok((job.scene.clone(), None)),
+            Self::Recorded(appearance) => appearance.as_ref().clone(),
             Self::Varied(variation, seed) => {
-                let replay = Replay::new(job.task, job.scene);
+                let replay = Replay::new(&job.source.task, job.scene);
                 replay.check(trajectory)?;
                 let duration_s = trajectory.dense.duration_s();
                 let times = (0..KEYFRAMES).map(|k| k as f64 / (KEYFRAMES - 1) as f64 * duration_s);
                 let frames: Vec<_> = times.map(|t| replay.at_time(trajectory, 0, t)).collect();
-                drawn = variation.draw(job.scene, &frames, *seed, &trajectory.id);
-                &drawn
+                variation.draw(job.scene, &frames, *seed, &trajectory.id)
             }
         };
-        let mut provenance = job.provenance.clone();
-        provenance["renderer"]["lighting"] = json!(appearance.lighting);
-        provenance["renderer"]["appearance"] = json!(appearance);
-        Ok((appearance.apply(job.scene)?, provenance))
+        Ok((appearance.apply(job.scene)?, Some(appearance)))
     }
 }
 
@@ -444,9 +637,19 @@ pub(super) fn check_unchanged(
 /// # Errors
 /// Where the rig is unknown or wrong.
 pub fn load_rig(name: &str) -> Result<Rig, Error> {
-    let is_file = name.ends_with(".toml") || Path::new(name).components().count() > 1;
-    let rig = if is_file { Rig::load(Path::new(name)) } else { Rig::preset(name) };
+    let rig = if is_file(name) { Rig::load(Path::new(name)) } else { Rig::preset(name) };
     rig.map_err(|error| Error::Render(error.into()))
+}
+
+/// A preset by its name, else a file.
+pub(super) fn load_sensor(name: &str) -> Result<Sensor, Error> {
+    let sensor = if is_file(name) { Sensor::load(Path::new(name)) } else { Sensor::preset(name) };
+    sensor.map_err(|error| Error::Render(error.into()))
+}
+
+/// Whether a name is that of a file rather than of a preset.
+pub(super) fn is_file(name: &str) -> bool {
+    name.ends_with(".toml") || Path::new(name).components().count() > 1
 }
 
 pub(super) fn open_backend(
@@ -474,27 +677,6 @@ pub(super) fn open_backend(
             Ok(host.sapien_backend()?)
         }
     }
-}
-
-fn provenance(
-    set: &TrajectorySet,
-    scene: &RenderScene,
-    backend: &str,
-    request: &RenderRequest,
-) -> serde_json::Value {
-    let header = &set.header;
-    json!({
-        "akrobat": env!("CARGO_PKG_VERSION"),
-        "content_hashes": header.content_hashes,
-        "planner": { "backend": header.backend, "config": header.planner_config, "seed": header.seed },
-        "renderer": {
-            "backend": backend,
-            "lighting": scene.lighting,
-            "supersampling": request.supersampling,
-        },
-        "phases": if request.manipulation_only { "manipulate" } else { "all" },
-        "states": request.states,
-    })
 }
 
 /// The URDFs, which MCAP logs carry along.

@@ -6,7 +6,7 @@ use akrobat_cameras::{Observation, SegmentLabel};
 use akrobat_model::events::Observer;
 use akrobat_model::task::Task;
 use akrobat_model::{Phase, Pose, Trajectory};
-use akrobat_renderer::pointcloud::{CloudConfig, fuse};
+use akrobat_renderer::pointcloud::{CloudConfig, CloudPlace, fuse};
 use akrobat_renderer::replay::{FRAME_RATE_HZ, Replay};
 use akrobat_renderer::{
     Backend, BodyGroup, Episode, EpisodeConfig, EpisodeRenderer, FrameState, RenderBody,
@@ -190,8 +190,9 @@ fn cloud_sheets(kept: &[Observation], episode: &Episode<'_>) -> Result<Vec<Cloud
     let sheet = |observation: &Observation| -> Result<CloudSheet, Error> {
         let state = episode.state(observation.frame as usize);
         let handle = episode.handle();
-        let points = fuse(&observation.cameras, &handle.position(&state), &CloudConfig::default());
         let center = handle.position(&state);
+        let place = CloudPlace { handle: center, world_from_base: state.world_from_base };
+        let points = fuse(&observation.cameras, &place, &CloudConfig::default()).points;
         // The tool's z axis points into the object.
         let inward = handle.world_from_grasp(&state) * Vector3::z();
         let outward_rad = (-inward.y).atan2(-inward.x);

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use akrobat_cameras::{
-    CameraFrame, CameraMount, CameraSpec, Intrinsics, Observation, Rig, SegmentLabel,
+    CameraFrame, CameraMount, CameraSpec, Intrinsics, Modality, Observation, Rig, SegmentLabel,
 };
 use akrobat_model::robot::BaseKind;
 use akrobat_model::{Phase, Pose, pose};
 use akrobat_packager::dataset::{Container, Licence, Status};
 use akrobat_packager::error::Result;
-use akrobat_packager::{Attachment, DatasetConfig, DatasetWriter, EpisodeInfo};
+use akrobat_packager::{Attachment, CloudLayout, DatasetConfig, DatasetWriter, EpisodeInfo};
 use nalgebra::{Point3, Vector3};
 
 /// Episodes that are stored.
@@ -79,7 +79,9 @@ pub fn info(index: u32) -> EpisodeInfo {
         active_joint: "roll".into(),
         world_from_robot_root: Pose::identity(),
         rig: rig(),
+        modalities: Modality::DEFAULT.to_vec(),
         cloud_points: CLOUD_POINTS,
+        cloud: CloudLayout::default(),
         labels: vec![label(FLOOR_ID, "floor"), label(BALL_ID, "ball")],
         task_toml: "name = \"sample\"\n".into(),
         provenance: serde_json::json!({"index": index}),

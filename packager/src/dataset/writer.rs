@@ -213,6 +213,20 @@ impl DatasetWriter {
         if full { self.close_shard() } else { Ok(()) }
     }
 
+    /// Drops the open episode: a frame was unfit.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where no episode is open, [`PackError::Io`].
+    pub fn abandon_episode(&mut self, reason: &str) -> Result<()> {
+        let entry = self.current.take().ok_or_else(|| self.no_episode())?;
+        match &mut self.shard {
+            Some(OpenShard::Hdf5(shard)) => shard.abandon_episode()?,
+            // An unfinished log leaves no file behind.
+            _ => self.shard = None,
+        }
+        self.skip_episode(&entry.id, Status::Quarantined, reason)
+    }
+
     /// Records an episode that is not stored.
     ///
     /// # Errors
@@ -263,7 +277,9 @@ impl DatasetWriter {
     }
 
     fn close_shard(&mut self) -> Result<()> {
-        if let Some(shard) = self.shard.take() {
+        // A shard all of whose episodes were dropped is dropped as well.
+        let is_empty = |shard: &OpenShard| matches!(shard, OpenShard::Hdf5(s) if s.episodes() == 0);
+        if let Some(shard) = self.shard.take().filter(|shard| !is_empty(shard)) {
             match shard {
                 OpenShard::Hdf5(shard) => shard.finish()?,
                 OpenShard::Mcap(log) => log.finish()?,

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use akrobat_cameras::{CameraFrame, Intrinsics, Observation, Rig};
+use akrobat_cameras::{CameraFrame, Intrinsics, Modality, Observation, Rig};
 use akrobat_model::robot::BaseKind;
 use akrobat_model::{Phase, Pose};
 
 use super::maniskill::pose_of_matrix;
 use super::sink::{ExportHeader, Sink};
 use super::source::{CameraBatch, Episode, FrameBatch, pose_of_row};
-use crate::episode::EpisodeInfo;
+use crate::episode::{CloudLayout, EpisodeInfo};
 use crate::error::Result;
 use crate::mcap_log::{ColorEncoding, McapWriter};
 
@@ -54,7 +54,9 @@ impl McapSink {
             active_joint: known.active_joint.clone(),
             world_from_robot_root: root.unwrap_or_else(Pose::identity),
             rig: Rig { name: self.header.name.clone(), cameras: self.header.cameras.clone() },
+            modalities: Modality::DEFAULT.to_vec(),
             cloud_points: episode.cloud_points,
+            cloud: CloudLayout::default(),
             labels: Vec::new(),
             task_toml: episode.task_toml.clone(),
             provenance: self.header.provenance.clone(),

@@ -95,6 +95,11 @@ impl GroupWriter {
         Ok(Self { group, path: self.path.clone() })
     }
 
+    /// Removes a member.
+    pub fn unlink(&self, name: &str) -> Result<()> {
+        self.group.unlink(name).map_err(self.error(name))
+    }
+
     /// A second name, `name` below this group, for the object at the absolute path `target`.
     pub fn link(&self, target: &str, name: &str) -> Result<()> {
         self.group.link_hard(target, name).map_err(self.error(name))
@@ -200,6 +205,21 @@ impl GroupWriter {
     /// An attribute of one of the group's datasets that is one number.
     pub fn dataset_attr<T: H5Type>(&self, dataset: &Dataset, name: &str, value: T) -> Result<()> {
         self.attr_value(dataset, name, &value)
+    }
+
+    /// An attribute of one of the group's datasets that is a list of numbers.
+    pub fn dataset_attr_list<T: H5Type>(
+        &self,
+        dataset: &Dataset,
+        name: &str,
+        values: &[T],
+    ) -> Result<()> {
+        let attr = dataset.new_attr::<T>().shape([values.len()]).create(name);
+        let attr = attr.map_err(self.error(name))?;
+        match values {
+            [] => Ok(()),
+            values => attr.write_raw(values).map_err(self.error(name)),
+        }
     }
 
     fn attr_value<T: H5Type>(&self, owner: &Location, name: &str, value: &T) -> Result<()> {

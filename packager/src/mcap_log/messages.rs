@@ -1,6 +1,6 @@
 //! Observations as ROS 2 messages.
 
-use akrobat_cameras::{CameraFrame, CloudPoint, Intrinsics};
+use akrobat_cameras::{CameraFrame, CloudPoint, Distortion, Intrinsics};
 use akrobat_model::Pose;
 
 use super::cdr::CdrWriter;
@@ -49,7 +49,16 @@ pub(crate) fn depth_image(time_ns: u64, images: &CameraFrame) -> Vec<u8> {
     cdr.finish()
 }
 
-/// `sensor_msgs/msg/CameraInfo` without distortion.
+/// Name and coefficients of a lens as `sensor_msgs/msg/CameraInfo` has them.
+fn ros_distortion(lens: &Distortion) -> (&'static str, Vec<f64>) {
+    match lens {
+        Distortion::Pinhole => ("plumb_bob", vec![0.0; 5]),
+        Distortion::BrownConrady(_) => ("rational_polynomial", lens.coefficients()),
+        Distortion::KannalaBrandt(_) => ("equidistant", lens.coefficients()),
+    }
+}
+
+/// `sensor_msgs/msg/CameraInfo`.
 ///
 /// ROS places pixel centres at integers, this project at integer + 0.5: the principal point differs
 /// by half a pixel.
@@ -60,8 +69,9 @@ pub(crate) fn camera_info(time_ns: u64, images: &CameraFrame) -> Vec<u8> {
     header(&mut cdr, time_ns, &optical_frame(&images.name));
     cdr.u32(height);
     cdr.u32(width);
-    cdr.string("plumb_bob");
-    cdr.f64_sequence([0.0; 5].into_iter());
+    let (model, coefficients) = ros_distortion(&images.distortion);
+    cdr.string(model);
+    cdr.f64_sequence(coefficients.into_iter());
     cdr.f64_array(&[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
     cdr.f64_array(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
     cdr.f64_array(&[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
@@ -73,9 +83,8 @@ pub(crate) fn camera_info(time_ns: u64, images: &CameraFrame) -> Vec<u8> {
     cdr.finish()
 }
 
-/// `sensor_msgs/msg/PointCloud2` in the world frame: `x y z` f32 metres and `rgb` packed as
-/// `0x00RRGGBB`.
-pub(crate) fn point_cloud(time_ns: u64, cloud: &[CloudPoint]) -> Vec<u8> {
+/// `sensor_msgs/msg/PointCloud2`: `x y z` f32 metres and `rgb` packed as `0x00RRGGBB`.
+pub(crate) fn point_cloud(time_ns: u64, frame: &str, cloud: &[CloudPoint]) -> Vec<u8> {
     const POINT_BYTES: u32 = 16;
     let pack = |[x, y, z, r, g, b]: CloudPoint| {
         // Colours are 0..255; casts saturate.
@@ -84,7 +93,7 @@ pub(crate) fn point_cloud(time_ns: u64, cloud: &[CloudPoint]) -> Vec<u8> {
     };
     let data: Vec<u8> = cloud.iter().flat_map(|&p| pack(p)).flatten().collect();
     let mut cdr = CdrWriter::new();
-    header(&mut cdr, time_ns, WORLD);
+    header(&mut cdr, time_ns, frame);
     cdr.u32(1);
     cdr.length(cloud.len());
     cdr.length(4);

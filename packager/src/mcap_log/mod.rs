@@ -102,7 +102,11 @@ impl McapWriter {
             outgoing.extend(channels.iter().copied().zip(messages));
         }
         if self.info.cloud_points > 0 {
-            let cloud = messages::point_cloud(time_ns, &observation.cloud);
+            let frame = match (self.info.cloud.frame.as_str(), self.info.rig.cameras.first()) {
+                ("camera", Some(camera)) => messages::optical_frame(&camera.name),
+                (frame, _) => frame.to_owned(),
+            };
+            let cloud = messages::point_cloud(time_ns, &frame, &observation.cloud);
             outgoing.push((self.channels.points, cloud));
         }
         let sequence = self.frames;

@@ -7,11 +7,16 @@
 //!   from frame t to frame t + 1; the last row repeats. There is no scaling, so both are equal.
 //! - `obs/{actions, joint_pos, joint_vel, gripper_pos, eef_pos, eef_quat, base_pose}`; row t of
 //!   `obs/actions` is the action that led to frame t (for frame 0, its own joint positions). The images are hard-linked here.
-//! - `camera_obs/<camera>_{rgb, depth, segmentation, intrinsics, world_from_camera}`.
-//! - `point_cloud` `[T, points, 6]` f32: `x y z` in metres, world frame; `r g b` in 0..255.
+//! - `camera_obs/<camera>_{rgb, depth, segmentation, intrinsics, world_from_camera}` and, where they were
+//!   asked for, `_{instance, semantic, normals, xyz, flow, scene_flow}`. The lens' model and coefficients are
+//!   attributes of `_intrinsics`. Of cameras slower than the episode, `_time` says when the image that
+//!   stands at a frame was taken.
+//! - `point_cloud` `[T, points, 6]` f32: `x y z` in metres, in the frame that its attribute names; `r g b` in
+//!   0..255 (`[T, points, 3]` where there are no colours). `point_cloud_normals` `[T, points, 3]` where asked for.
 //! - `states/articulation/<name>/{joint_position, joint_velocity, root_pose, root_velocity}` of
 //!   robot and object, and their first rows under `initial_state/`.
-//! - `segment_labels/{id, group, name, class}`, `time`, `phase`.
+//! - `segment_labels/{id, group, name, class, class_id, instance_id}`, `class_labels/{id, name}`,
+//!   `instance_labels/{id, name}`, `time`, `phase`.
 //!
 //! Images and clouds have one frame per chunk. Chunks are encoded on all cores and written in
 //! order, so the bytes do not depend on the number of threads.
@@ -21,7 +26,7 @@ pub(crate) mod series;
 
 use std::path::Path;
 
-use akrobat_cameras::{CameraFrame, Observation};
+use akrobat_cameras::{CameraFrame, CloudPoint, Modality, Observation, SegmentTable};
 use akrobat_model::{Pose, pose};
 use hdf5::Dataset;
 use rayon::prelude::*;
@@ -111,6 +116,16 @@ impl ShardWriter {
         open.push(&path, observation)
     }
 
+    /// Drops the open episode; its key is used again. The bytes that its chunks took stay unused.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where none is open, [`PackError::Io`] where the disk fails.
+    pub fn abandon_episode(&mut self) -> Result<()> {
+        let open = self.open.take().ok_or_else(|| no_episode(self.file.path()))?;
+        drop(open);
+        self.data.unlink(&format!("demo_{}", self.episodes))
+    }
+
     /// Completes the episode.
     ///
     /// # Errors
@@ -166,12 +181,7 @@ const CONVENTIONS: [(&str, &str); 9] = [
 ];
 
 /// The datasets of one camera.
-#[derive(Debug)]
-struct CameraDatasets {
-    rgb: Dataset,
-    depth: Dataset,
-    segmentation: Dataset,
-}
+type CameraDatasets = Vec<(Modality, Dataset)>;
 
 /// An episode between its first and last frame.
 #[derive(Debug)]
@@ -181,6 +191,7 @@ struct OpenEpisode {
     camera_group: GroupWriter,
     cameras: Vec<CameraDatasets>,
     cloud: Option<Dataset>,
+    cloud_normals: Option<Dataset>,
     depth: DepthEncoding,
     series: Series,
     batch: Vec<Observation>,
@@ -195,25 +206,42 @@ impl OpenEpisode {
     ) -> Result<Self> {
         write_attributes(&group, &info)?;
         write_labels(&group.group("segment_labels")?, &info)?;
+        let table = SegmentTable::new(&info.labels);
+        write_names(&group.group("class_labels")?, &table.classes)?;
+        write_names(&group.group("instance_labels")?, &table.instances)?;
         let obs = group.group("obs")?;
         let camera_group = group.group("camera_obs")?;
         let frames = info.frames as usize;
         let mut cameras = Vec::new();
         for camera in &info.rig.cameras {
             let size = [frames, camera.height as usize, camera.width as usize];
-            cameras.push(create_camera(&camera_group, &camera.name, size, depth)?);
-            for kind in ["rgb", "depth", "segmentation"] {
-                let name = format!("{}_{kind}", camera.name);
+            let mut datasets = CameraDatasets::new();
+            for &modality in &info.modalities {
+                let dataset = create_images(&camera_group, &camera.name, modality, size, depth)?;
+                datasets.push((modality, dataset));
+                let name = format!("{}_{}", camera.name, modality.name());
                 obs.link(&format!("/data/{key}/camera_obs/{name}"), &name)?;
             }
+            cameras.push(datasets);
         }
         let cloud = match info.cloud_points {
             0 => None,
-            points => Some(create_cloud(&group, &obs, key, frames, points)?),
+            points => Some(create_cloud(&group, &obs, key, &info, points)?),
+        };
+        let cloud_normals = match info.cloud_points {
+            points if points > 0 && info.cloud.normals => {
+                let name = "point_cloud_normals";
+                let normals = group.chunked::<f32>(name, &[frames, points, 3], &[1, points, 3])?;
+                group.dataset_attr_str(&normals, "frame", &info.cloud.frame)?;
+                obs.link(&format!("/data/{key}/{name}"), name)?;
+                Some(normals)
+            }
+            _ => None,
         };
         let series = Series::new(info.rig.cameras.len());
         drop(obs);
-        Ok(Self { info, group, camera_group, cameras, cloud, depth, series, batch: Vec::new() })
+        let batch = Vec::new();
+        Ok(Self { info, group, camera_group, cameras, cloud, cloud_normals, depth, series, batch })
     }
 
     fn push(&mut self, path: &Path, observation: Observation) -> Result<()> {
@@ -241,27 +269,35 @@ impl OpenEpisode {
     fn jobs<'a>(&'a self, frame: usize, observation: &'a Observation) -> Vec<ChunkJob<'a>> {
         let depth = self.depth;
         let images =
-            self.cameras.iter().zip(&observation.cameras).flat_map(|(datasets, images)| {
-                [
-                    ChunkJob { dataset: &datasets.rgb, frame, data: ChunkData::Rgb(images) },
-                    ChunkJob {
-                        dataset: &datasets.depth,
-                        frame,
-                        data: ChunkData::Depth(images, depth),
-                    },
-                    ChunkJob {
-                        dataset: &datasets.segmentation,
-                        frame,
-                        data: ChunkData::Segmentation(images),
-                    },
-                ]
+            self.cameras.iter().zip(&observation.cameras).flat_map(move |(datasets, images)| {
+                datasets.iter().map(move |(modality, dataset)| {
+                    let data = match modality {
+                        Modality::Rgb => ChunkData::Bytes(&images.rgb),
+                        Modality::Depth => ChunkData::Depth(images, depth),
+                        Modality::Segmentation => ChunkData::Ids(&images.segmentation),
+                        Modality::Instance => ChunkData::Ids(&images.instance),
+                        Modality::Semantic => ChunkData::Ids(&images.semantic),
+                        Modality::Normals => ChunkData::Floats(images.normals.as_flattened()),
+                        Modality::Xyz => ChunkData::Floats(images.xyz.as_flattened()),
+                        Modality::Flow => ChunkData::Floats(images.flow.as_flattened()),
+                        Modality::SceneFlow => ChunkData::Floats(images.scene_flow.as_flattened()),
+                    };
+                    ChunkJob { dataset, frame, data }
+                })
             });
-        let cloud = self.cloud.iter().map(|dataset| ChunkJob {
+        let cloud = self.cloud.iter().map(|dataset| {
+            let data = match self.info.cloud.color {
+                true => ChunkData::Floats(observation.cloud.as_flattened()),
+                false => ChunkData::Positions(&observation.cloud),
+            };
+            ChunkJob { dataset, frame, data }
+        });
+        let normals = self.cloud_normals.iter().map(|dataset| ChunkJob {
             dataset,
             frame,
-            data: ChunkData::Cloud(observation.cloud.as_flattened()),
+            data: ChunkData::Floats(observation.cloud_normals.as_flattened()),
         });
-        images.chain(cloud).collect()
+        images.chain(cloud).chain(normals).collect()
     }
 
     fn finish(mut self, path: &Path) -> Result<()> {
@@ -279,7 +315,19 @@ impl OpenEpisode {
         for (camera, series) in self.info.rig.cameras.iter().zip(&self.series.cameras) {
             let frames = self.series.len();
             let intrinsics = format!("{}_intrinsics", camera.name);
-            self.camera_group.array(&intrinsics, &[frames, 3, 3], &series.intrinsics)?;
+            let dataset =
+                self.camera_group.array(&intrinsics, &[frames, 3, 3], &series.intrinsics)?;
+            let lens = &camera.distortion;
+            self.camera_group.dataset_attr_str(&dataset, "distortion_model", lens.name())?;
+            let coefficients = lens.coefficients();
+            self.camera_group.dataset_attr_list(&dataset, "distortion", &coefficients)?;
+            if camera.rate_hz.is_some() {
+                let times: Vec<f64> =
+                    series.captured.iter().map(|&frame| self.series.time_s[frame]).collect();
+                let name = format!("{}_time", camera.name);
+                let dataset = self.camera_group.array(&name, &[frames], &times)?;
+                self.camera_group.dataset_attr_str(&dataset, "unit", "s")?;
+            }
             let extrinsics = format!("{}_world_from_camera", camera.name);
             self.camera_group.array(&extrinsics, &[frames, 4, 4], &series.world_from_camera)?;
         }
@@ -296,26 +344,30 @@ struct ChunkJob<'a> {
 
 /// What a chunk holds.
 enum ChunkData<'a> {
-    Rgb(&'a CameraFrame),
+    Bytes(&'a [u8]),
     Depth(&'a CameraFrame, DepthEncoding),
-    Segmentation(&'a CameraFrame),
-    Cloud(&'a [f32]),
+    Ids(&'a [u16]),
+    Floats(&'a [f32]),
+    /// The first three values of each point.
+    Positions(&'a [CloudPoint]),
 }
 
 impl ChunkJob<'_> {
     fn encode(&self) -> Vec<u8> {
         match &self.data {
-            ChunkData::Rgb(images) => codec::encode(&images.rgb, 1),
+            ChunkData::Bytes(bytes) => codec::encode(bytes, 1),
             ChunkData::Depth(images, DepthEncoding::Millimetres) => {
                 codec::encode(&le_bytes(&images.depth_m, |d| millimetres(d).to_le_bytes()), 2)
             }
             ChunkData::Depth(images, DepthEncoding::Metres) => {
                 codec::encode(&le_bytes(&images.depth_m, |d| metres(d).to_le_bytes()), 4)
             }
-            ChunkData::Segmentation(images) => {
-                codec::encode(&le_bytes(&images.segmentation, u16::to_le_bytes), 2)
+            ChunkData::Ids(ids) => codec::encode(&le_bytes(ids, u16::to_le_bytes), 2),
+            ChunkData::Floats(values) => codec::encode(&le_bytes(values, f32::to_le_bytes), 4),
+            ChunkData::Positions(points) => {
+                let positions: Vec<f32> = points.iter().flat_map(|p| &p[..3]).copied().collect();
+                codec::encode(&le_bytes(&positions, f32::to_le_bytes), 4)
             }
-            ChunkData::Cloud(values) => codec::encode(&le_bytes(values, f32::to_le_bytes), 4),
         }
     }
 }
@@ -354,6 +406,11 @@ pub(crate) fn check_observation(
         ("robot columns".into(), info.robot_joints.len(), observation.robot.len()),
         ("object columns".into(), info.object_joints.len(), observation.object.len()),
         ("cloud points".into(), info.cloud_points, observation.cloud.len()),
+        (
+            "cloud normals".into(),
+            if info.cloud.normals { info.cloud_points } else { 0 },
+            observation.cloud_normals.len(),
+        ),
     ];
     for (camera, images) in info.rig.cameras.iter().zip(&observation.cameras) {
         let pixels = camera.width as usize * camera.height as usize;
@@ -361,9 +418,20 @@ pub(crate) fn check_observation(
             let item = format!("frame {frame} of episode {}: camera", info.id);
             return Err(PackError::inconsistent(path, item, &camera.name, &images.name));
         }
-        counts.push((format!("{} rgb values", camera.name), 3 * pixels, images.rgb.len()));
-        counts.push((format!("{} depths", camera.name), pixels, images.depth_m.len()));
-        counts.push((format!("{} segments", camera.name), pixels, images.segmentation.len()));
+        for &modality in &info.modalities {
+            let found = match modality {
+                Modality::Rgb => images.rgb.len() / 3,
+                Modality::Depth => images.depth_m.len(),
+                Modality::Segmentation => images.segmentation.len(),
+                Modality::Instance => images.instance.len(),
+                Modality::Semantic => images.semantic.len(),
+                Modality::Normals => images.normals.len(),
+                Modality::Xyz => images.xyz.len(),
+                Modality::Flow => images.flow.len(),
+                Modality::SceneFlow => images.scene_flow.len(),
+            };
+            counts.push((format!("{} {} pixels", camera.name, modality.name()), pixels, found));
+        }
     }
     for (what, expected, got) in counts {
         if expected != got {
@@ -378,41 +446,60 @@ pub(crate) fn check_observation(
     Ok(())
 }
 
-fn create_camera(
+fn create_images(
     group: &GroupWriter,
     camera: &str,
+    modality: Modality,
     [frames, height, width]: [usize; 3],
     encoding: DepthEncoding,
-) -> Result<CameraDatasets> {
-    let (shape, chunk) = ([frames, height, width, 1], [1, height, width, 1]);
-    let rgb = group.chunked::<u8>(
-        &format!("{camera}_rgb"),
-        &[frames, height, width, 3],
-        &[1, height, width, 3],
-    )?;
-    let name = format!("{camera}_depth");
-    let depth = match encoding {
-        DepthEncoding::Millimetres => group.chunked::<u16>(&name, &shape, &chunk),
-        DepthEncoding::Metres => group.chunked::<f32>(&name, &shape, &chunk),
-    }?;
-    group.dataset_attr_str(&depth, "depth_unit", encoding.unit())?;
-    group.dataset_attr(&depth, "depth_scale", encoding.scale())?;
-    let name = format!("{camera}_segmentation");
-    let segmentation = group.chunked::<u16>(&name, &shape, &chunk)?;
-    Ok(CameraDatasets { rgb, depth, segmentation })
+) -> Result<Dataset> {
+    let channels = modality.channels();
+    let (shape, chunk) = ([frames, height, width, channels], [1, height, width, channels]);
+    let name = format!("{camera}_{}", modality.name());
+    match modality {
+        Modality::Rgb => group.chunked::<u8>(&name, &shape, &chunk),
+        Modality::Depth => {
+            let depth = match encoding {
+                DepthEncoding::Millimetres => group.chunked::<u16>(&name, &shape, &chunk),
+                DepthEncoding::Metres => group.chunked::<f32>(&name, &shape, &chunk),
+            }?;
+            group.dataset_attr_str(&depth, "depth_unit", encoding.unit())?;
+            group.dataset_attr(&depth, "depth_scale", encoding.scale())?;
+            Ok(depth)
+        }
+        Modality::Segmentation | Modality::Instance | Modality::Semantic => {
+            group.chunked::<u16>(&name, &shape, &chunk)
+        }
+        Modality::Normals | Modality::Xyz | Modality::Flow | Modality::SceneFlow => {
+            let values = group.chunked::<f32>(&name, &shape, &chunk)?;
+            let (unit, frame) = match modality {
+                Modality::Normals => ("1", "world"),
+                Modality::Flow => ("pixels to the next image", "image"),
+                Modality::SceneFlow => ("m to the next image", "world"),
+                _ => ("m", "world"),
+            };
+            group.dataset_attr_str(&values, "unit", unit)?;
+            group.dataset_attr_str(&values, "frame", frame)?;
+            Ok(values)
+        }
+    }
 }
 
 fn create_cloud(
     group: &GroupWriter,
     obs: &GroupWriter,
     key: &str,
-    frames: usize,
+    info: &EpisodeInfo,
     points: usize,
 ) -> Result<Dataset> {
-    let (shape, chunk) = ([frames, points, 6], [1, points, 6]);
-    let cloud = group.chunked::<f32>("point_cloud", &shape, &chunk)?;
-    group.dataset_attr_str(&cloud, "columns", "x y z r g b")?;
-    group.dataset_attr_str(&cloud, "frame", "world")?;
+    let layout = &info.cloud;
+    let columns = if layout.color { 6 } else { 3 };
+    let shape = [info.frames as usize, points, columns];
+    let cloud = group.chunked::<f32>("point_cloud", &shape, &[1, points, columns])?;
+    let names = if layout.color { "x y z r g b" } else { "x y z" };
+    group.dataset_attr_str(&cloud, "columns", names)?;
+    group.dataset_attr_str(&cloud, "frame", &layout.frame)?;
+    group.dataset_attr_str(&cloud, "sampling", &layout.sampling)?;
     group.dataset_attr_str(&cloud, "unit", "m; colours 0..255")?;
     obs.link(&format!("/data/{key}/point_cloud"), "point_cloud")?;
     Ok(cloud)
@@ -453,6 +540,19 @@ fn write_labels(group: &GroupWriter, info: &EpisodeInfo) -> Result<()> {
     group.strings("group", &labels.iter().map(|l| &l.group).collect::<Vec<_>>())?;
     group.strings("name", &labels.iter().map(|l| &l.name).collect::<Vec<_>>())?;
     group.strings("class", &labels.iter().map(|l| &l.class).collect::<Vec<_>>())?;
+    let table = SegmentTable::new(labels);
+    let classes: Vec<u16> = ids.iter().map(|&id| table.class(id)).collect();
+    let instances: Vec<u16> = ids.iter().map(|&id| table.instance(id)).collect();
+    group.array("class_id", &[labels.len()], &classes)?;
+    group.array("instance_id", &[labels.len()], &instances)?;
+    Ok(())
+}
+
+/// Ids from 1 and their names.
+fn write_names(group: &GroupWriter, names: &[String]) -> Result<()> {
+    let ids: Vec<u16> = (1..).take(names.len()).collect();
+    group.array("id", &[names.len()], &ids)?;
+    group.strings("name", names)?;
     Ok(())
 }
 

@@ -10,6 +10,8 @@ pub(crate) struct CameraSeries {
     pub intrinsics: Vec<f64>,
     /// `world_from_camera` `[T, 4, 4]`.
     pub world_from_camera: Vec<f64>,
+    /// Frame at which the image that stands at each frame was taken.
+    pub captured: Vec<usize>,
 }
 
 /// Per-frame values of an episode.
@@ -55,6 +57,7 @@ impl Series {
         self.world_from_base.push(observation.world_from_base);
         self.world_from_object.push(observation.world_from_object);
         for (series, camera) in self.cameras.iter_mut().zip(&observation.cameras) {
+            series.captured.push((camera.captured_frame.min(observation.frame)) as usize);
             series.intrinsics.extend(camera.intrinsics.matrix().as_flattened());
             series
                 .world_from_camera

@@ -13,7 +13,7 @@ use akrobat_model::trajectory::{Grasp, PathSample};
 use akrobat_model::{ModelError, Phase};
 use akrobat_renderer::handle::Handle;
 use akrobat_renderer::placement::PlacedRig;
-use akrobat_renderer::pointcloud::{CloudConfig, fuse};
+use akrobat_renderer::pointcloud::{CloudConfig, CloudPlace, fuse};
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderScene, SoftBackend};
@@ -201,13 +201,17 @@ fn measure(workload: &Workload, repeats: u32, context: &Context<'_>) -> Result<M
         .iter()
         .map(|(frame, cameras)| {
             let images = SoftBackend::new().render(&workload.scene, frame, cameras)?;
-            Ok((images, workload.handle.position(frame)))
+            let place = CloudPlace {
+                handle: workload.handle.position(frame),
+                world_from_base: frame.world_from_base,
+            };
+            Ok((images, place))
         })
         .collect::<Result<_, Error>>()?;
     let config = CloudConfig::default();
     let [cloud_cpu, _] = median_ms(repeats.min(3), || {
-        for (images, position) in &clouds {
-            std::hint::black_box(fuse(images, position, &config));
+        for (images, place) in &clouds {
+            std::hint::black_box(fuse(images, place, &config));
         }
         Ok(())
     })?;
