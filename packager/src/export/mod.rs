@@ -78,7 +78,8 @@ fn write_conventions(group: &GroupWriter, header: &ExportHeader) -> Result<()> {
 /// Writes what is known of an episode as attributes.
 fn write_attributes(group: &GroupWriter, episode: &Episode) -> Result<()> {
     let known = &episode.attributes;
-    group.attr("num_samples", episode.frames() as u64)?;
+    // Signed: robomimic subtracts from it.
+    group.attr("num_samples", episode.frames() as i64)?;
     group.attr("success", known.success)?;
     group.attr("seed", known.seed)?;
     group.attr("traj_index", known.traj_index)?;
