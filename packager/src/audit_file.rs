@@ -160,7 +160,7 @@ fn each<T>(episodes: &[EpisodeAudit], value: impl Fn(&EpisodeAudit) -> T) -> Vec
 /// [`PackError::Read`], [`PackError::Damaged`] or [`PackError::Content`].
 pub fn read(path: &Path) -> Result<AuditFile> {
     let file = H5Reader::open(path)?;
-    check_format(&file, FORMAT, FORMAT_VERSION)?;
+    check_format(&file, FORMAT, &[FORMAT_VERSION])?;
     let (numbers, shape) = file.array::<u32>("episode", &[None])?;
     let count = shape[0];
     let ids = file.strings("id", count)?;

@@ -244,25 +244,22 @@ fn read_header(file: &H5Reader) -> Result<TrajectoryHeader> {
 
 /// The version of a trajectory file, if this reader knows it.
 fn check_version(file: &H5Reader) -> Result<u32> {
-    let version = file.attr::<u32>(file.root(), "format_version").ok();
-    let one_grasp = version == Some(FORMAT_VERSION_ONE_GRASP);
-    let version = if one_grasp { FORMAT_VERSION_ONE_GRASP } else { FORMAT_VERSION };
-    check_format(file, FORMAT, version)?;
-    Ok(version)
+    check_format(file, FORMAT, &[FORMAT_VERSION_ONE_GRASP, FORMAT_VERSION])
 }
 
-/// Refuses files of another kind and of versions this reader does not know.
-pub(crate) fn check_format(file: &H5Reader, format: &str, version: u32) -> Result<()> {
+/// The version of a file. Refuses files of another kind and of versions this reader does not know.
+pub(crate) fn check_format(file: &H5Reader, format: &str, versions: &[u32]) -> Result<u32> {
     let got = file.attr_str(file.root(), "format")?;
     if got != format {
         return Err(PackError::content(file.path(), "/ attribute format", format, got));
     }
     let got = file.attr::<u32>(file.root(), "format_version")?;
-    if got != version {
+    if !versions.contains(&got) {
+        let known = versions.iter().map(u32::to_string).collect::<Vec<_>>().join(" or ");
         let item = "/ attribute format_version";
-        return Err(PackError::content(file.path(), item, version.to_string(), got.to_string()));
+        return Err(PackError::content(file.path(), item, known, got.to_string()));
     }
-    Ok(())
+    Ok(got)
 }
 
 fn write_identity(root: &GroupWriter, trajectories: &[Trajectory]) -> Result<()> {

@@ -147,7 +147,7 @@ fn wrong_use_is_refused() {
     let mut small = observation(0, 0);
     small.cameras[0].rgb.truncate(10);
     let message = writer.push(small).unwrap_err().to_string();
-    assert!(message.contains("fixed rgb values: expected 9216, got 10"), "{message}");
+    assert!(message.contains("fixed rgb pixels: expected 3072, got 3"), "{message}");
     writer.push(observation(0, 0)).unwrap();
     assert!(writer.push(observation(0, 2)).is_err(), "frame 1 is missing");
     assert!(writer.finish_episode().is_err(), "frames are missing");

@@ -286,7 +286,7 @@ fn missing_and_misshapen_datasets_are_named() {
         ("dense/offset: expected non-decreasing", |f| {
             f.dataset("dense/offset").unwrap().write_raw(&[0u64, 5, 2, 903]).unwrap();
         }),
-        ("attribute format_version: expected 1, got 9", |f| {
+        ("attribute format_version: expected 1 or 2, got 9", |f| {
             f.attr("format_version").unwrap().write_scalar(&9u32).unwrap();
         }),
     ];

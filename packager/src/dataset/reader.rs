@@ -105,7 +105,7 @@ impl EpisodeReader {
         crate::trajectory_file::check_format(
             &file,
             crate::shard::FORMAT,
-            crate::shard::FORMAT_VERSION,
+            &[crate::shard::FORMAT_VERSION],
         )?;
         let root = format!("data/{key}");
         file.group(&root)?;

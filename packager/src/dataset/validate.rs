@@ -111,6 +111,10 @@ fn check_files(dataset: &DatasetReader, report: &mut Report) {
     }
 }
 
+/// Groups with one value for the episode, or one for each label, instead of one for each frame.
+const ONCE_AN_EPISODE: [&str; 4] =
+    ["initial_state/", "segment_labels/", "class_labels/", "instance_labels/"];
+
 fn check_episode(
     episode: &EpisodeReader,
     id: &str,
@@ -132,7 +136,7 @@ fn check_episode(
     };
     for name in episode.array_names()? {
         let array = episode.array(&name)?;
-        let per_frame = !name.starts_with("initial_state/") && !name.starts_with("segment_labels/");
+        let per_frame = !ONCE_AN_EPISODE.iter().any(|group| name.starts_with(group));
         if per_frame && array.shape.first() != Some(&frames) {
             report.add(place(&name), format!("{:?} is not {frames} frames", array.shape));
         }
