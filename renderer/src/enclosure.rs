@@ -38,8 +38,9 @@ impl<'a> Enclosures<'a> {
         Self { scene, bounds: scene.bodies.iter().map(of_body).collect() }
     }
 
-    /// The body that a place (world frame, metres) is inside of: in most directions a ray from it meets the body's
-    /// triangles an odd number of times. A body that also encloses the robot's base or tool is a room, not an
+    /// The body that a place (world frame, metres) is inside of: in every direction a ray from it meets the body's
+    /// triangles an odd number of times. (Of walls with doors and windows, and of meshes with holes, some direction says
+    /// otherwise: they have no inside.) A body that also encloses the robot's base or tool is a room, not an
     /// obstacle.
     pub fn body_around(&self, frame: &FrameState, place: &Point3<f64>) -> Option<&'a RenderBody> {
         let rooms = [frame.world_from_tool, frame.world_from_base];
@@ -69,7 +70,7 @@ fn is_inside(body: &RenderBody, bounds: &[[[f32; 3]; 2]], place: &Point3<f64>) -
             }
         }
     }
-    2 * odd.iter().filter(|&&is_odd| is_odd).count() > DIRECTIONS.len()
+    odd.iter().all(|&is_odd| is_odd)
 }
 
 /// Whether the ray from the origin meets a triangle (Möller and Trumbore, 1997).

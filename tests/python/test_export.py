@@ -501,18 +501,21 @@ def test_lerobot_fills_files_and_folders(tmp_path):
     }
     limits = Limits(data_file_bytes=1, video_file_bytes=1, files_per_chunk=2)
     writer = LeRobotWriter(tmp_path, header, limits)
-    attributes = {"instruction": "Open.", "frames": 4, "id": "", "success": True, "seed": 0}
+    attributes = {"instruction": "Open.", "frames": 64, "id": "", "success": True, "seed": 0}
     attributes |= {"grasp_id": 0, "goal": 1.0, "robot_id": "", "object_id": "", "scene_id": ""}
     rng = np.random.default_rng(0)
     for index in range(3):
-        tables = {name: rng.random((4, 2), np.float32) for name in ("action", "state")}
-        tables |= {name: np.zeros((4, 7), np.float32) for name in ("eef_pose", "base_pose")}
-        tables |= {"object_position": np.zeros((4, 1), np.float32), "phase": np.zeros(4, np.uint8)}
-        tables |= {"time": np.arange(4) / 30, "eye/intrinsics": np.zeros((4, 3, 3))}
-        tables |= {"eye/world_from_camera": np.zeros((4, 4, 4))}
+        tables = {name: rng.random((64, 2), np.float32) for name in ("action", "state")}
+        tables |= {name: np.zeros((64, 7), np.float32) for name in ("eef_pose", "base_pose")}
+        tables |= {
+            "object_position": np.zeros((64, 1), np.float32),
+            "phase": np.zeros(64, np.uint8),
+        }
+        tables |= {"time": np.arange(64) / 30, "eye/intrinsics": np.zeros((64, 3, 3))}
+        tables |= {"eye/world_from_camera": np.zeros((64, 4, 4))}
         writer.begin(index, json.dumps(attributes), tables)
-        images = rng.integers(0, 255, (4, 24, 32, 3), np.uint8)
-        depth = rng.integers(0, 9000, (4, 24, 32), np.uint16)
+        images = rng.integers(0, 255, (64, 24, 32, 3), np.uint8)
+        depth = rng.integers(0, 9000, (64, 24, 32), np.uint16)
         writer.frames(0, {"eye/rgb": images, "eye/depth_mm": depth})
         writer.end()
     writer.finish()
@@ -524,7 +527,7 @@ def test_lerobot_fills_files_and_folders(tmp_path):
         assert files == ["chunk-000/file-000", "chunk-000/file-001", "chunk-001/file-000"]
     entries = pq.read_table(tmp_path / "meta" / "episodes").to_pylist()
     assert [e["data/chunk_index"] for e in entries] == [0, 0, 1]
-    assert [e["dataset_from_index"] for e in entries] == [0, 4, 8]
+    assert [e["dataset_from_index"] for e in entries] == [0, 64, 128]
 
 
 # traj_data.pt

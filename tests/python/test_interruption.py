@@ -206,7 +206,7 @@ def test_interrupted_plans_write_nothing(
 ) -> None:
     output = tmp_path / "trajectories.h5"
     command = [sys.executable, "-m", "akrobat", "plan", str(TASK), "-o", str(output)]
-    process = start([*command, "--assets", str(shared_assets), "--limit", "50"])
+    process = start([*command, "--assets", str(shared_assets), "--limit", "5000"])
     time.sleep(delay_s)
     assert process.poll() is None
     status, errors = disturb(process, number)

@@ -84,7 +84,7 @@ impl DatasetWriter {
             return Self::create(folder, config);
         }
         let description = Description::read(folder)?;
-        if description.config != config {
+        if description.config != as_read(&config) {
             return Err(PackError::content(
                 &folder.join(DESCRIPTION),
                 "config",
@@ -378,4 +378,10 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|e| PackError::io(folder, e))?;
     let paths = entries.map(|entry| entry.map(|e| e.path())).collect::<std::io::Result<Vec<_>>>();
     Ok(paths.map_err(|e| PackError::io(folder, e))?.into_iter().filter(|p| p.is_file()).collect())
+}
+
+/// A configuration as it is read back: reading may round the last digit of a number.
+fn as_read(config: &DatasetConfig) -> DatasetConfig {
+    let text = serde_json::to_string(config).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or_else(|_| config.clone())
 }

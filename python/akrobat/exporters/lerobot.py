@@ -359,27 +359,29 @@ class RowFiles:
         self._folder, self._limits = folder, limits
         self._place = Place()
         self._writer: pq.ParquetWriter | None = None
-        self._path = Path()
+        self._file: pa.NativeFile | None = None
 
     def append(self, table: pa.Table) -> Place:
         """Writes an episode; its rows are never split."""
-        if self._writer is not None and self._path.stat().st_size >= self._limits.data_file_bytes:
+        if self._file is not None and self._file.tell() >= self._limits.data_file_bytes:
             self.close()
             self._place = self._place.following(self._limits.files_per_chunk)
         if self._writer is None:
-            self._path = self._folder / DATA_PATH.format(
+            path = self._folder / DATA_PATH.format(
                 chunk_index=self._place.chunk, file_index=self._place.file
             )
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = pq.ParquetWriter(self._path, table.schema, compression="snappy")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = pa.OSFile(str(path), "wb")
+            self._writer = pq.ParquetWriter(self._file, table.schema, compression="snappy")
         self._writer.write_table(table)
         return self._place
 
     def close(self) -> None:
         """Completes the file."""
-        if self._writer is not None:
+        if self._writer is not None and self._file is not None:
             self._writer.close()
-            self._writer = None
+            self._file.close()
+            self._writer = self._file = None
 
 
 def _number_feature(values: NDArray[Any]) -> dict[str, Any]:
