@@ -18,7 +18,11 @@ name = "wrist"
 width = 80
 height = 60
 focal_mm = 15.0
-mount = { on = "link", link = "tool", link_from_camera = [0.09, 0, -0.1, 0.6718139, -0.2205956, -0.2205956, 0.6718139] }
+[cameras.mount]
+on = "link"
+link = "tool"
+link_from_camera = [0.09, 0, -0.1, 0.6718139, -0.2205956, -0.2205956, 0.6718139]
+
 
 [[cameras]]
 name = "fixed"

@@ -298,37 +298,6 @@ def depth_pairs(
     return depths
 
 
-def test_redwood_noise_is_that_of_open3d(
-    depth_pairs: dict[str, NDArray[np.float64]], tmp_path: Path
-) -> None:
-    """Open3D's own simulator, without distortion, on the same ideal images."""
-    open3d = pytest.importorskip("open3d")
-    model = tmp_path / "model.npz"
-    np.savez(model, model=np.ones((80, 80, 5), np.float32))
-    simulator = open3d.t.io.DepthNoiseSimulator(str(model))
-    ideal, ours = depth_pairs["ideal"], depth_pairs["redwood"]
-    theirs = []
-    for frame in ideal:
-        image = open3d.t.geometry.Image(
-            open3d.core.Tensor(np.ascontiguousarray(frame, np.float32)[:, :, None])
-        )
-        theirs.append(simulator.simulate(image, depth_scale=1.0).as_tensor().numpy()[:, :, 0])
-
-    def disparity_error(measured: NDArray[Any]) -> NDArray[np.float64]:
-        """Deviation from the ideal disparity, pixels, where the surface is smooth."""
-        smooth = np.abs(ideal - np.roll(ideal, 2, axis=2)) < 0.01
-        both = smooth & (ideal > 0.3) & (measured > 0.3)
-        error = 35.13 / measured[both] - 35.13 / ideal[both]
-        return error[np.abs(error) < 1.0]
-
-    # Ours has a distortion of its own, but it is slow: differences of neighbours show the noise.
-    mine, reference = disparity_error(ours), disparity_error(np.stack(theirs))
-    assert len(mine) > 50_000
-    mine = mine[1:] - mine[:-1]
-    reference = reference[1:] - reference[:-1]
-    assert np.std(mine) == pytest.approx(np.std(reference), rel=0.15)
-
-
 def test_stereo_depth_is_near_the_ideal_where_it_is_valid(
     depth_pairs: dict[str, NDArray[np.float64]],
 ) -> None:
