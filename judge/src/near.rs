@@ -103,17 +103,7 @@ fn depth_in_each_other(
     memory: &mut Gap,
     floor_m: f64,
 ) -> Option<Deepest> {
-    let apart = b_from_a.point(a.center).distance(b.center) - a.radius - b.radius;
-    if apart > 0.0 {
-        memory.free_until = way + apart;
-        return None;
-    }
-    let a_in_b = placed(&a.vertices, b_from_a);
-    let gap = separation(&a_in_b, &b.planes, &mut memory.faces[0]);
-    if gap > 0.0 {
-        memory.free_until = way + gap;
-        return None;
-    }
+    let (a_in_b, gap) = entering(a, b, b_from_a, way, memory)?;
     let a_from_b = b_from_a.inverse();
     let b_in_a = placed(&b.vertices, &a_from_b);
     let other_gap = separation(&b_in_a, &a.planes, &mut memory.faces[1]);
@@ -143,18 +133,31 @@ fn surface_in_solid(
     if way < memory.free_until {
         return None;
     }
+    let (vertices, gap) = entering(a, b, b_from_a, way, memory)?;
+    if gap >= -floor_m { None } else { deepest_of(probe, a, &vertices, &b.planes, floor_m) }
+}
+
+/// The corners of `a` in the frame of `b`, and how far beyond a face of `b` they all are at most; `None`, with a note of
+/// how long it holds, where that face or their distance keeps the two apart.
+fn entering(
+    a: &ConvexPiece,
+    b: &ConvexPiece,
+    b_from_a: &Frame,
+    way: f64,
+    memory: &mut Gap,
+) -> Option<(Vec<Vector>, f64)> {
     let apart = b_from_a.point(a.center).distance(b.center) - a.radius - b.radius;
     if apart > 0.0 {
         memory.free_until = way + apart;
         return None;
     }
-    let vertices = placed(&a.vertices, b_from_a);
-    let gap = separation(&vertices, &b.planes, &mut memory.faces[0]);
+    let a_in_b = placed(&a.vertices, b_from_a);
+    let gap = separation(&a_in_b, &b.planes, &mut memory.faces[0]);
     if gap > 0.0 {
         memory.free_until = way + gap;
         return None;
     }
-    if gap >= -floor_m { None } else { deepest_of(probe, a, &vertices, &b.planes, floor_m) }
+    Some((a_in_b, gap))
 }
 
 fn placed(points: &[Vector], frame: &Frame) -> Vec<Vector> {
