@@ -23,7 +23,7 @@ pub struct PlannerConfig {
     /// Random seeds of inverse kinematics for each grasp and joint position, at most: once there are four free
     /// solutions for each cluster, no more are tried.
     pub ik_seeds: usize,
-    /// Solutions kept for each grasp and joint position after clustering.
+    /// Clusters of solutions for each grasp and joint position: what stands for them is tried before other solutions.
     pub ik_clusters: usize,
     /// Optimised start and goal pairs for each grasp and goal, at most.
     pub pairs_per_grasp: usize,

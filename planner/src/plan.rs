@@ -37,6 +37,9 @@ use timeline::Leg;
 
 /// Pairs optimised between two looks at the limit: constant, so that results do not depend on threads.
 const BATCH: usize = 32;
+/// Starts whose way is nearly free, for each trajectory wanted, that make others needless: nearly all of them come to
+/// be trajectories, unless the hand cannot get there.
+const PROMISING_PER_TRAJECTORY: usize = 2;
 /// Distance that plans keep from position limits, rad or m.
 const LIMIT_MARGIN: f64 = 0.02;
 
@@ -159,7 +162,7 @@ fn plan_driven(
     let mut run = Run::new(task, preparation, config, observer);
     let grasps = run.stage("grasps", |run| run.grasps(world))?;
     let mut holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
-    let mut followed = run.stage("pairing", |run| run.followed_pairs(world, &holds));
+    let mut followed = run.followed_pairs(world, &holds, Starts::Clustered);
     run.count("pairs", followed.len());
     let regrasps = task.file.goal.regrasps > 0;
     let mut limit = config.limit;
@@ -170,22 +173,34 @@ fn plan_driven(
     let (mut trajectories, mut notes) = (Vec::new(), Vec::new());
     let mut found = Found { trajectories: &mut trajectories, notes: &mut notes };
     let optimisation = "trajectory optimisation";
-    let all_followed = followed.clone();
+    let of_clusters = followed.clone();
     let mut reached = BTreeSet::new();
-    while !followed.is_empty() && found.trajectories.len() < limit {
+    let mut suffice = pairing::promising_starts(&followed) >= PROMISING_PER_TRAJECTORY * limit;
+    let mut others = Some(Starts::Others);
+    while found.trajectories.len() < limit {
+        if let Some(others) = others.take_if(|_| !suffice) {
+            let more = run.followed_pairs(world, &holds, others);
+            run.count("pairs", more.len());
+            followed.extend(more);
+            run.in_turn(&mut followed);
+        }
+        let round = pairing::next_round(&mut followed, &reached);
+        if round.is_empty() && others.is_none() {
+            break;
+        }
         let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
             run.connect(world, &holds, pair, judge, steps)
         };
-        let round = pairing::next_round(&mut followed, &reached);
         let accepted = run.collect(optimisation, &round, limit, &mut found, &connect)?;
         reached.extend(accepted.into_iter().map(|pair| (round[pair].hold, round[pair].start)));
+        suffice = false;
     }
     // Goal configurations are a second choice: where followed paths are enough, they are not looked for.
     if found.trajectories.len() < limit {
         if !regrasps {
             run.stage("goals", |run| run.find_goals(world, &mut holds))?;
         }
-        let pairs = run.goal_pairs(&holds, &all_followed);
+        let pairs = run.goal_pairs(&holds, &of_clusters);
         run.count("pairs", pairs.len());
         let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
             run.connect(world, &holds, pair, judge, steps)
@@ -219,12 +234,32 @@ struct Hold {
     kinematics: Kinematics,
     body: RobotBody,
     closure: Closure,
-    /// Clustered configurations of the AKR at the start.
+    /// Configurations of the AKR at the start, those that stand for clusters first.
     starts: Vec<Vec<f64>>,
+    /// How many stand for clusters.
+    clustered_starts: usize,
     /// The approach to each start, planned when it is first needed.
     approaches: Vec<OnceLock<Result<Approach, &'static str>>>,
     /// Clustered configurations at each goal.
     goals: Vec<Vec<Vec<f64>>>,
+}
+
+/// Which of a grasp's starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Starts {
+    /// Those that stand for clusters.
+    Clustered,
+    /// The others.
+    Others,
+}
+
+impl Hold {
+    fn starts(&self, which: Starts) -> std::ops::Range<usize> {
+        match which {
+            Starts::Clustered => 0..self.clustered_starts,
+            Starts::Others => self.clustered_starts..self.starts.len(),
+        }
+    }
 }
 
 /// A start and a goal to be connected.

@@ -1,10 +1,11 @@
 //! Which starts are connected with which goals.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{Hold, Pair, Promise, Run};
+use super::{Hold, Pair, Promise, Run, Starts};
 use crate::config::PlannerConfig;
 use crate::trajopt::Problem;
 use crate::world::World;
@@ -42,8 +43,18 @@ impl Run<'_> {
 
     /// Starts with the ends that following the joint leads to: those whose way is nearly free come first, and
     /// grasps, starts and goals take turns.
-    pub(super) fn followed_pairs(&self, world: &World, holds: &[Hold]) -> Vec<Pair> {
-        let mut pairs = self.of_each_start(holds, |hold, start, goal_index| {
+    pub(super) fn followed_pairs(
+        &mut self,
+        world: &World,
+        holds: &[Hold],
+        which: Starts,
+    ) -> Vec<Pair> {
+        self.stage("pairing", |run| run.follow_all(world, holds, which))
+    }
+
+    fn follow_all(&self, world: &World, holds: &[Hold], which: Starts) -> Vec<Pair> {
+        let starts = |hold: &Hold| hold.starts(which);
+        let mut pairs = self.of_each_start(holds, starts, |hold, start, goal_index| {
             let problem = self.problem(world, hold, self.config);
             let q = self.task.file.goal.positions[goal_index];
             let followed = problem.follow_with_clearance(start, q).into_iter();
@@ -57,7 +68,8 @@ impl Run<'_> {
     /// pairs that a grasp may have.
     pub(super) fn goal_pairs(&self, holds: &[Hold], followed: &[Pair]) -> Vec<Pair> {
         let yaw = (self.base() == 3).then_some(2);
-        let mut pairs = self.of_each_start(holds, |hold, start, goal_index| {
+        let starts = |hold: &Hold| hold.starts(Starts::Clustered);
+        let mut pairs = self.of_each_start(holds, starts, |hold, start, goal_index| {
             let mut ends: Vec<&Vec<f64>> = hold.goals[goal_index].iter().collect();
             let turn = |g: &Vec<f64>, y: usize| (g[y] - start[y]).abs();
             ends.retain(|g| yaw.is_none_or(|y| turn(g, y) <= self.config.max_base_yaw_rad));
@@ -78,17 +90,18 @@ impl Run<'_> {
         pairs
     }
 
-    /// The pairs of every start and goal position; `ends` gives configurations in the order of their rank, and
+    /// The pairs of every one of the `starts` and goal position; `ends` gives configurations in the order of their rank, and
     /// how likely the way there is to become free.
     fn of_each_start(
         &self,
         holds: &[Hold],
+        starts: impl Fn(&Hold) -> Range<usize>,
         ends: impl Fn(&Hold, &[f64], usize) -> Vec<(Vec<f64>, Promise)> + Sync,
     ) -> Vec<Pair> {
         let starts: Vec<(usize, usize)> = holds
             .iter()
             .enumerate()
-            .flat_map(|(hold, h)| (0..h.starts.len()).map(move |start| (hold, start)))
+            .flat_map(|(hold, h)| starts(h).map(move |start| (hold, start)))
             .collect();
         let of_start = |&(hold, start): &(usize, usize)| {
             let mut own = Vec::new();
@@ -108,7 +121,8 @@ impl Run<'_> {
         starts.par_iter().flat_map_iter(of_start).collect()
     }
 
-    fn in_turn(&self, pairs: &mut [Pair]) {
+    /// Orders pairs: what is likely to succeed first, and grasps, starts and goals in turn.
+    pub(super) fn in_turn(&self, pairs: &mut [Pair]) {
         let goals = self.task.file.goal.positions.len();
         let turn = |p: &Pair| (p.goal_index + goals - p.start % goals) % goals;
         pairs.sort_by_key(|p| (p.promise, p.rank, turn(p), p.start, p.hold));
@@ -121,6 +135,12 @@ fn promise(clearance_m: f64) -> Promise {
         fair if fair > FAIR_M => Promise::Fair,
         _ => Promise::Poor,
     }
+}
+
+/// Number of starts from which some way is nearly free.
+pub(super) fn promising_starts(pairs: &[Pair]) -> usize {
+    let good = pairs.iter().filter(|pair| pair.promise == Promise::Good);
+    good.map(|pair| (pair.hold, pair.start)).collect::<BTreeSet<_>>().len()
 }
 
 /// Takes out of `pairs` the first of each start that is not among `reached`; all, where there is none.

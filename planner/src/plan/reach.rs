@@ -154,10 +154,11 @@ impl Run<'_> {
             body,
             closure,
             starts: Vec::new(),
+            clustered_starts: 0,
             approaches: Vec::new(),
             goals: Vec::new(),
         };
-        hold.starts = self.configurations(world, &akr, &hold, task.file.goal.start, 0)?;
+        (hold.starts, hold.clustered_starts) = self.starts(world, &akr, &hold)?;
         hold.approaches = hold.starts.iter().map(|_| OnceLock::new()).collect();
         if hold.starts.is_empty() {
             self.count("grasps/without_start", 1);
@@ -188,8 +189,39 @@ impl Run<'_> {
         Ok(())
     }
 
+    /// Collision-free configurations at the start: the representatives of clusters, then all others. Tells how many
+    /// there are of the first kind.
+    fn starts(
+        &mut self,
+        world: &World,
+        akr: &Akr,
+        hold: &Hold,
+    ) -> Result<(Vec<Vec<f64>>, usize), PlanError> {
+        let q = self.task.file.goal.start;
+        let found = self.free_configurations(world, akr, hold, q, 0)?;
+        let mut order = self.representatives(hold, &found, 0);
+        let clustered = order.len();
+        let others = (0..found.len()).filter(|index| !order.contains(index));
+        order.extend(others.collect::<Vec<_>>());
+        Ok((order.into_iter().map(|index| found[index].clone()).collect(), clustered))
+    }
+
     /// Clustered, collision-free configurations with the object's joint at `q`.
     pub(super) fn configurations(
+        &mut self,
+        world: &World,
+        akr: &Akr,
+        hold: &Hold,
+        q: f64,
+        target_index: usize,
+    ) -> Result<Vec<Vec<f64>>, PlanError> {
+        let mut found = self.free_configurations(world, akr, hold, q, target_index)?;
+        let chosen = self.representatives(hold, &found, target_index);
+        Ok(chosen.into_iter().map(|index| std::mem::take(&mut found[index])).collect())
+    }
+
+    /// Collision-free configurations with the object's joint at `q`, which is their last variable.
+    fn free_configurations(
         &mut self,
         world: &World,
         akr: &Akr,
@@ -204,18 +236,15 @@ impl Run<'_> {
         self.count("ik/solved", batch.solved);
         self.count("ik/free", batch.accepted.len());
         let mut found = batch.accepted;
-        let weights = vec![1.0; hold.kinematics.dof() - 1];
+        found.iter_mut().for_each(|x| x.push(q));
+        Ok(found)
+    }
+
+    /// Indices of the configurations that stand for their clusters.
+    fn representatives(&self, hold: &Hold, found: &[Vec<f64>], target_index: usize) -> Vec<usize> {
+        let weights = vec![1.0; hold.kinematics.dof()];
         let seed = ik_seed(self.task, &hold.grasp, target_index);
-        let chosen =
-            cluster::representatives(&found, &weights, 10, self.config.ik_clusters, 500, seed);
-        Ok(chosen
-            .into_iter()
-            .map(|i| {
-                let mut x = std::mem::take(&mut found[i]);
-                x.push(q);
-                x
-            })
-            .collect())
+        cluster::representatives(found, &weights, 10, self.config.ik_clusters, 500, seed)
     }
 
     /// Collision-free base and arm configurations that hold the object with its joint at `q`.

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::timeline::Leg;
-use super::{Hold, Outcome, PlanError, Run, StepClock, stage_seed};
+use super::{Hold, Outcome, PlanError, Run, Starts, StepClock, stage_seed};
 use crate::akr;
 use crate::collision::MovingCheck;
 use crate::config::PlannerConfig;
@@ -70,7 +70,7 @@ pub(super) struct Chain {
 }
 
 impl Run<'_> {
-    /// Chains of grasps that reach the goals `goals`, the shortest first.
+    /// Chains of grasps that reach the goals `goals`, as short as each goal allows.
     pub(super) fn chains(
         &mut self,
         world: &World,
@@ -92,9 +92,11 @@ impl Run<'_> {
                 }
             }
             self.count("regrasp/chains", own.len());
-            chains.extend(self.take_turns(own, goal_index));
+            chains.extend(self.take_turns(own, goal_index).into_iter().enumerate());
         }
-        Ok(chains)
+        // Goals take turns, so that none uses up what is wanted.
+        chains.sort_by_key(|(turn, _)| *turn);
+        Ok(chains.into_iter().map(|(_, chain)| chain).collect())
     }
 
     /// Counts how far the best single grasp follows, in thousandths of the way to the goal.
@@ -142,8 +144,8 @@ impl Run<'_> {
         let regrasps = self.task.file.goal.regrasps;
         let mut seeds: Vec<(usize, Option<usize>, usize, Vec<f64>)> = Vec::new();
         for (index, hold) in holds.iter().enumerate() {
-            let starts = hold.starts.iter().enumerate();
-            seeds.extend(starts.map(|(start, x)| (index, Some(start), 0, x.clone())));
+            let starts = hold.starts(Starts::Clustered);
+            seeds.extend(starts.map(|s| (index, Some(s), 0, hold.starts[s].clone())));
             seeds.extend(hold.goals[goal_index].iter().map(|x| (index, None, STEPS, x.clone())));
             for station in 1..regrasps {
                 let step = STEPS * station / regrasps;
