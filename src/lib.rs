@@ -6,6 +6,7 @@ pub mod cancel;
 pub mod cli;
 pub mod error;
 pub mod host;
+pub mod jobs;
 pub mod pipeline;
 pub mod progress;
 pub mod report;

@@ -3,6 +3,7 @@
 use akrobat_cameras::{Modality, Rig, SegmentLabel};
 use akrobat_model::Pose;
 use akrobat_model::robot::BaseKind;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Everything about an episode that is not in its observations.
@@ -106,7 +107,9 @@ impl EpisodeInfo {
 }
 
 /// How depth images are stored.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum DepthEncoding {
     /// Unsigned 16-bit millimetres, rounded; 0 where invalid, not finite or beyond 65.535 m.

@@ -37,7 +37,7 @@ use akrobat_model::{JointPath, Phase, Pose, Rejection, Trajectory, TrajectorySet
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
 use crate::error::{PackError, Result};
-use crate::h5::{GroupWriter, H5Reader, H5Writer};
+use crate::h5::{DIGEST_ATTRIBUTE, GroupWriter, H5Reader, H5Writer, digest, read_error};
 
 /// Value of the root attribute `format`.
 pub const FORMAT: &str = "akrobat.trajectories";
@@ -73,6 +73,7 @@ pub fn write(path: &Path, set: &TrajectorySet) -> Result<()> {
     write_dense(&root.group("dense")?, &set.trajectories, &dimensions)?;
     write_verdicts(&root.group("verdict")?, &set.trajectories)?;
     drop(root);
+    file.seal()?;
     file.finish()
 }
 
@@ -121,6 +122,21 @@ pub fn read(path: &Path) -> Result<TrajectorySet> {
         })
         .collect();
     Ok(TrajectorySet { header, trajectories })
+}
+
+/// Reads a trajectory file and compares everything in it with its checksum.
+///
+/// # Errors
+/// As [`read`], and [`PackError::Damaged`] where the checksum is another.
+pub fn validate(path: &Path) -> Result<TrajectorySet> {
+    let set = read(path)?;
+    let file = H5Reader::open(path)?;
+    let expected = file.attr_str(file.root(), DIGEST_ATTRIBUTE)?;
+    let found = digest(file.root()).map_err(|e| read_error(path, "/", &e))?;
+    if found == expected {
+        return Ok(set);
+    }
+    Err(PackError::damaged(path, format!("the checksum is {found}, the file says {expected}")))
 }
 
 /// Numbers of columns of a row of joint positions.

@@ -64,8 +64,18 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     partial.commit()
 }
 
+/// Copies a file, whole or not at all.
+pub(crate) fn copy(from: &Path, to: &Path) -> Result<()> {
+    let partial = PartialFile::create(to)?;
+    let mut source = File::open(from).map_err(|e| PackError::read(from, e))?;
+    let mut target = File::create(partial.path()).map_err(|e| PackError::create(to, e))?;
+    std::io::copy(&mut source, &mut target).map_err(|e| PackError::io(to, e))?;
+    drop(target);
+    partial.commit()
+}
+
 /// Makes a rename in the folder of `path` durable.
-fn sync_folder_of(path: &Path) -> Result<()> {
+pub(crate) fn sync_folder_of(path: &Path) -> Result<()> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

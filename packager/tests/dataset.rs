@@ -10,6 +10,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use akrobat_model::events::Silent;
 use akrobat_packager::dataset::{Container, Values};
 use akrobat_packager::{DatasetReader, DatasetWriter, PackError, validate};
 use sample::{EPISODES, FRAMES, config, info, observation};
@@ -34,7 +35,7 @@ fn written(container: Container) -> tempfile::TempDir {
 }
 
 fn problems(folder: &Path) -> String {
-    let report = validate(folder).unwrap();
+    let report = validate(folder, &Silent).unwrap();
     report.problems.iter().map(|p| format!("{}: {}\n", p.place, p.message)).collect()
 }
 
@@ -94,7 +95,7 @@ fn whole_datasets_are_valid_and_damage_is_found() {
     for container in [Container::Hdf5, Container::Mcap] {
         let folder = written(container);
         assert_eq!(problems(folder.path()), "", "{container:?}");
-        let report = validate(folder.path()).unwrap();
+        let report = validate(folder.path(), &Silent).unwrap();
         assert_eq!(report.frames, u64::from(EPISODES * FRAMES));
 
         let shard = std::fs::read_dir(folder.path().join("shards")).unwrap().next().unwrap();

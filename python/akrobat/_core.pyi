@@ -165,7 +165,7 @@ def render(
     episodes: Sequence[int] | None,
     manipulation_only: bool,
     states: str,
-    episodes_per_shard: int | None,
+    storage: str,
     resume: bool,
     threads: int | None,
     assets: Sequence[Path],
@@ -192,3 +192,5 @@ def fuse(
 
 def run(argv: Sequence[str]) -> int:
     """Runs the command line `argv` (the program's name first) and returns its exit code."""
+
+def decode_color(file: bytes, width: int, height: int) -> bytes: ...

@@ -67,6 +67,7 @@ def render(
     manipulation_only: bool = False,
     states: Literal["planned", "simulated"] = "planned",
     episodes_per_shard: int | None = None,
+    storage: Mapping[str, Any] | None = None,
     resume: bool = False,
     threads: int | None = None,
     assets: Sequence[StrPath] = (),
@@ -96,6 +97,8 @@ def render(
     :param manipulation_only: leave out approach and grasp
     :param states: the plan, or what the robot did in physics (from the audit of `akrobat replay`)
     :param episodes_per_shard: episodes in one HDF5 shard; an interruption loses at most that many
+    :param storage: how the dataset is stored, as the options of `akrobat render` are named:
+        `{"codec": "zstd", "color": "png", "depth": "metres"}`, ...
     :param resume: continue what an interrupted run with the same arguments left
     :param threads: number of threads; the result does not depend on it
     :param assets: folders where assets are looked up, before those of `$AKROBAT_ASSET_PATH`
@@ -124,11 +127,15 @@ def render(
                 manipulation_only=manipulation_only,
                 states=states,
                 episodes_per_shard=episodes_per_shard,
+                storage=storage,
                 resume=resume,
                 threads=threads,
                 assets=assets,
                 quiet=quiet,
             )
+    settings = dict(storage or {})
+    if episodes_per_shard is not None:
+        settings["episodes_per_shard"] = episodes_per_shard
     _core.render(
         Path(trajectories),
         Path(output),
@@ -147,7 +154,7 @@ def render(
         episodes=None if episodes is None else list(episodes),
         manipulation_only=manipulation_only,
         states=states,
-        episodes_per_shard=episodes_per_shard,
+        storage=json.dumps(settings),
         resume=resume,
         threads=threads,
         assets=[Path(folder) for folder in assets],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from bisect import bisect_right
@@ -14,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from akrobat import _core
 from akrobat.errors import InputError
 
 
@@ -100,8 +102,11 @@ class Episode(Mapping[str, NDArray[Any]]):
         linked = {f"obs/{name.removeprefix('camera_obs/')}" for name in names if _is_linked(name)}
         return [name for name in names if name not in linked]
 
-    def _dataset(self, name: str) -> h5py.Dataset:
-        item = self._open().get(name)
+    def _dataset(self, name: str) -> h5py.Dataset | _ColorFiles:
+        group = self._open()
+        if name.endswith("_rgb") and name + "_encoded" in group:
+            return _ColorFiles(group, name)
+        item = group.get(name)
         if not isinstance(item, h5py.Dataset):
             choices = ", ".join(self)
             raise InputError(f"{self._file}: no array {name!r}; valid choices: {choices}")
@@ -109,12 +114,40 @@ class Episode(Mapping[str, NDArray[Any]]):
 
     def _open(self) -> h5py.Group:
         if self._group is None:
+            _register_codecs()
             self._group = h5py.File(self._file, "r")["data"][self._key]
         return self._group
 
     def __getstate__(self) -> dict[str, Any]:
         # Open files do not survive the way to another process.
         return {**self.__dict__, "_group": None}
+
+
+class _ColorFiles:
+    """Colours that are stored as PNG or JPEG files, read as the array that they are."""
+
+    dtype = np.dtype(np.uint8)
+
+    def __init__(self, group: h5py.Group, name: str) -> None:
+        self._files = group[name + "_encoded"]
+        # The offsets are not linked under `obs/`.
+        self._offsets = group[f"camera_obs/{name.rsplit('/', 1)[-1]}_offsets"][()]
+        size = (int(self._files.attrs["height"]), int(self._files.attrs["width"]))
+        self.shape = (len(self._offsets) - 1, *size, 3)
+
+    def __getitem__(self, index: int | tuple[()]) -> NDArray[np.uint8]:
+        if index == ():
+            return np.stack([self[frame] for frame in range(self.shape[0])])
+        first, end = self._offsets[index], self._offsets[index + 1]
+        height, width = self.shape[1:3]
+        pixels = _core.decode_color(self._files[first:end].tobytes(), width, height)
+        return np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
+
+
+def _register_codecs() -> None:
+    """Makes LZ4, Zstandard and Blosc readable where their filters are installed."""
+    with contextlib.suppress(ImportError):
+        import hdf5plugin  # noqa: F401
 
 
 def _is_linked(name: str) -> bool:
@@ -127,7 +160,7 @@ def _numeric_arrays(group: h5py.Group, prefix: str = "") -> Iterator[str]:
         if isinstance(item, h5py.Group):
             yield from _numeric_arrays(item, f"{prefix}{name}/")
         elif isinstance(item, h5py.Dataset) and item.dtype.kind in "fiub":
-            yield prefix + name
+            yield prefix + name.removesuffix("_encoded")
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use akrobat::CancelToken;
 use akrobat::pipeline::{
     self, BackendChoice, Context, EpisodeFilter, EpisodeList, Format, PlanRequest, RenderRequest,
-    States,
+    Sharing, States,
 };
 use akrobat::progress::{Progress, Verbosity};
 use akrobat_cameras::Modality;
 use clap::ValueEnum;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 use crate::errors::{InputError, to_python};
 use crate::host::PythonHost;
@@ -38,7 +39,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, sensor, modalities, cloud, seed, format, episodes, manipulation_only, states, episodes_per_shard, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, sensor, modalities, cloud, seed, format, episodes, manipulation_only, states, storage, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -59,7 +60,7 @@ pub fn render<'py>(
     episodes: Option<Vec<usize>>,
     manipulation_only: bool,
     states: &str,
-    episodes_per_shard: Option<u32>,
+    storage: &str,
     resume: bool,
     threads: Option<usize>,
     assets: Vec<PathBuf>,
@@ -90,9 +91,11 @@ pub fn render<'py>(
         },
         manipulation_only,
         states: choice::<States>("states", states)?,
-        episodes_per_shard,
+        storage: serde_json::from_str(storage)
+            .map_err(|e| InputError::new_err(format!("storage: {e}")))?,
         resume,
         threads,
+        sharing: Sharing::Alone,
     };
     let report = run(py, quiet, |context| pipeline::render(&request, context))?;
     plain(py, &report)
@@ -128,4 +131,16 @@ fn choice<T: ValueEnum>(argument: &str, name: &str) -> PyResult<T> {
         let choices = choices.join(", ");
         InputError::new_err(format!("{argument}: unknown \"{name}\"; valid choices: {choices}"))
     })
+}
+
+/// Colours of a PNG or JPEG file of exactly this size, row by row.
+#[pyfunction]
+pub fn decode_color<'py>(
+    py: Python<'py>,
+    file: &[u8],
+    width: u32,
+    height: u32,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let pixels = akrobat_packager::color::decode(file, width, height);
+    pixels.map(|pixels| PyBytes::new(py, &pixels)).map_err(InputError::new_err)
 }

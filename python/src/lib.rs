@@ -19,7 +19,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use crate::api::{plan, render};
+    use crate::api::{decode_color, plan, render};
     #[pymodule_export]
     use crate::cameras::{farthest_points, fuse, project, unproject};
     #[pymodule_export]

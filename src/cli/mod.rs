@@ -4,14 +4,19 @@ mod bench;
 mod demo;
 mod eval;
 mod export;
+mod filter;
 mod import;
 mod inspect;
+mod merge;
 mod plan;
 mod render;
+mod repair;
 mod replay;
 mod run;
 mod schema;
+mod split;
 mod validate;
+mod workers;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -54,6 +59,10 @@ enum Command {
     Run(run::RunArgs),
     Inspect(inspect::InspectArgs),
     Validate(validate::ValidateArgs),
+    Merge(merge::MergeArgs),
+    Split(split::SplitArgs),
+    Filter(filter::FilterArgs),
+    Repair(repair::RepairArgs),
     Schema(schema::SchemaArgs),
 }
 
@@ -113,6 +122,10 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Import(args) => import::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Validate(args) => validate::run(args, context),
+        Command::Merge(args) => merge::run(args),
+        Command::Split(args) => split::run(args),
+        Command::Filter(args) => filter::run(args),
+        Command::Repair(args) => repair::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Schema(args) => schema::run(args),
     }

@@ -1,16 +1,18 @@
 //! `akrobat render`: trajectory file -> dataset.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use akrobat_cameras::Modality;
+use akrobat_packager::{DatasetReader, StorageConfig};
 use akrobat_renderer::Supersampling;
 use akrobat_renderer::pointcloud::{CloudConfig, CloudFrame, CloudSampling};
 use clap::{Args, ValueEnum};
 
-use super::Report;
+use super::{Report, workers};
+use crate::jobs::{JobFolder, slurm};
 use crate::pipeline::{
     self, BackendChoice, Context, EpisodeFilter, EpisodeList, Format, RenderReport, RenderRequest,
-    States,
+    Sharing, States,
 };
 use crate::{Error, ExitCode};
 
@@ -27,6 +29,10 @@ use crate::{Error, ExitCode};
 ///   akrobat render drawer.h5 -o dataset --cloud-points 1024 --cloud-frame base
 ///   akrobat render drawer.h5 -o dataset --format mcap        one MCAP log per episode
 ///   akrobat render drawer.h5 -o dataset --resume             go on after an interruption
+///   akrobat render drawer.h5 -o dataset --codec zstd         smaller files, for readers with hdf5plugin
+///   akrobat render drawer.h5 -o dataset --workers 8          eight processes; any of them may die
+///   akrobat render drawer.h5 -o /shared/dataset --join       ... started by hand, on several machines
+///   akrobat render drawer.h5 -o /shared/dataset --slurm job.sh    a script for sbatch
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct RenderArgs {
@@ -103,12 +109,28 @@ pub struct RenderArgs {
     /// out).
     #[arg(long, value_enum, default_value_t)]
     states: States,
-    /// Episodes in one HDF5 shard. What is interrupted loses at most the shard that was being written.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    episodes_per_shard: Option<u32>,
+    #[command(flatten)]
+    storage: StorageConfig,
     /// Continue what an interrupted run of the same command left.
     #[arg(long)]
     resume: bool,
+    /// Start this many processes that share the work. A process that dies is replaced; the result is the same.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    workers: Option<u32>,
+    /// Work on the same dataset as other processes of this command, which may come and go: each takes a
+    /// shard at a time. They need a shared folder with file locks.
+    #[arg(long, conflicts_with = "workers")]
+    join: bool,
+    /// Make these shards alone, such as `0,5-9`, and leave it to others to put them together with --join:
+    /// for schedulers that decide themselves who makes what.
+    #[arg(long, value_name = "LIST", conflicts_with_all = ["workers", "join"])]
+    only_shards: Option<EpisodeList>,
+    /// Render nothing; tell how many episodes, frames and shards there would be.
+    #[arg(long)]
+    dry_run: bool,
+    /// Render nothing; write a script that makes the dataset as an array job of Slurm.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["workers", "join", "only_shards"])]
+    slurm: Option<PathBuf>,
     /// Number of threads; one for each core where absent.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -192,16 +214,97 @@ pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
         filter: EpisodeFilter { episodes: args.episodes.clone(), ..EpisodeFilter::default() },
         manipulation_only: args.phases == Phases::Manipulate,
         states: args.states,
-        episodes_per_shard: args.episodes_per_shard,
+        storage: args.storage.clone(),
         resume: args.resume,
         threads: args.threads,
+        sharing: match &args.only_shards {
+            Some(list) => Sharing::Only(list.clone().into()),
+            None if args.join => Sharing::Join,
+            None => Sharing::Alone,
+        },
     };
+    if args.dry_run {
+        return dry_run(&request, context);
+    }
+    if let Some(script) = &args.slurm {
+        return write_slurm_script(script, &request, context);
+    }
+    if let Some(count) = args.workers {
+        let parts = pipeline::dry_run(&request, context)?.shards as u64;
+        let folder = JobFolder::of(&args.output);
+        let done = || (0..parts as usize).filter(|&part| folder.part(part).is_dir()).count() as u64;
+        let replaced = workers::run(count, args.threads, done, parts, context)?;
+        // Whatever the workers have left is done here, and the last of it is to put the parts together.
+        let request = RenderRequest { sharing: Sharing::Join, ..request };
+        return Ok(shared_report(&pipeline::render(&request, context)?, Some(replaced)));
+    }
     let report = pipeline::render(&request, context)?;
+    if args.join {
+        return Ok(shared_report(&report, None));
+    }
     Ok(Report {
         text: text(&report),
         json: serde_json::to_value(&report).unwrap_or_default(),
-        exit_code: if report.is_complete() { ExitCode::Done } else { ExitCode::Incomplete },
+        exit_code: exit_code(report.is_complete()),
     })
+}
+
+fn exit_code(complete: bool) -> ExitCode {
+    if complete { ExitCode::Done } else { ExitCode::Incomplete }
+}
+
+fn dry_run(request: &RenderRequest, context: &Context<'_>) -> Result<Report, Error> {
+    let counts = pipeline::dry_run(request, context)?;
+    let text = format!(
+        "{} episodes with {} frames in {} shards; {} left out, which the judge had refused",
+        counts.episodes, counts.frames, counts.shards, counts.filtered
+    );
+    Ok(Report::done(text, serde_json::json!(counts)))
+}
+
+fn write_slurm_script(
+    file: &Path,
+    request: &RenderRequest,
+    context: &Context<'_>,
+) -> Result<Report, Error> {
+    let parts = pipeline::dry_run(request, context)?.shards;
+    let command = workers::own_command(&["--slurm", "--threads"])?;
+    let script = slurm::script(&command, parts);
+    std::fs::write(file, script).map_err(|e| Error::write(file, &e))?;
+    let text = format!("{}: an array of {parts} tasks; submit it with sbatch", file.display());
+    Ok(Report::done(text, serde_json::json!({ "script": file, "tasks": parts })))
+}
+
+/// What a dataset holds that several processes have made: what one of them did says little.
+fn shared_report(report: &RenderReport, replaced: Option<u32>) -> Report {
+    let mut counts = [0u64; 3];
+    // Both containers hold the same episodes.
+    let dataset = report.datasets.first().map(|folder| DatasetReader::open(folder));
+    for entry in dataset.iter().flatten().flat_map(DatasetReader::entries) {
+        counts[entry.status as usize] += 1;
+    }
+    let [episodes, filtered, quarantined] = counts;
+    let folders: Vec<String> = report.datasets.iter().map(|d| d.display().to_string()).collect();
+    let mut line = format!(
+        "{}: {episodes} episodes in all, {} of them by this process; {filtered} refused by the judge, \
+         {quarantined} given up",
+        folders.join(", "),
+        report.episodes
+    );
+    if let Some(replaced) = replaced.filter(|&count| count > 0) {
+        line += &format!("; {replaced} workers died and were replaced");
+    }
+    let json = serde_json::json!({
+        "datasets": report.datasets,
+        "backend": report.backend,
+        "episodes": episodes,
+        "filtered": filtered,
+        "quarantined": quarantined,
+        "by_this_process": report.episodes,
+        "workers_replaced": replaced,
+        "seconds": report.seconds,
+    });
+    Report { text: line, json, exit_code: exit_code(filtered + quarantined == 0) }
 }
 
 fn text(report: &RenderReport) -> String {

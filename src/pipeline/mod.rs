@@ -13,6 +13,7 @@ mod render;
 mod replay;
 mod report;
 mod run;
+mod share;
 mod simulated;
 mod survey;
 
@@ -33,7 +34,10 @@ pub use judge::{JudgeRequest, Judged, judge};
 pub use plan::{PlanReport, PlanRequest, plan};
 pub use planned::planned_task;
 use planned::selection;
-pub use render::{BackendChoice, Format, RenderReport, RenderRequest, States, load_rig, render};
+pub use render::{
+    BackendChoice, DryRun, Format, RenderReport, RenderRequest, Sharing, States, dry_run, load_rig,
+    render,
+};
 pub use replay::{
     JointGains, PhysicsConfig, ReplayJob, ReplayReport, ReplayRequest, audit_path, replay,
 };

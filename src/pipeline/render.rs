@@ -9,7 +9,7 @@ use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::task::Task;
 use akrobat_model::{ModelError, Rejection, Trajectory, TrajectorySet, pose};
 use akrobat_packager::dataset::{Container, DatasetConfig, DatasetWriter, Licence, Status};
-use akrobat_packager::{Attachment, CloudLayout, EpisodeInfo, trajectory_file};
+use akrobat_packager::{Attachment, CloudLayout, EpisodeInfo, StorageConfig, trajectory_file};
 use akrobat_renderer::pointcloud::CloudConfig;
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::replay::Replay;
@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::episodes::EpisodeFilter;
-use super::{Context, folder_of, on_threads, simulated};
+use super::{Context, folder_of, on_threads, share, simulated};
 use crate::Error;
 
 /// The light of scenes for which nothing is said.
@@ -115,13 +115,26 @@ pub struct RenderRequest {
     pub manipulation_only: bool,
     /// Whether what was planned is shown, or what the robot did in physics.
     pub states: States,
-    /// Episodes in one HDF5 shard; the packager's default where absent. What is interrupted loses at most
-    /// the shard that was being written.
-    pub episodes_per_shard: Option<u32>,
+    /// How the dataset is stored.
+    pub storage: StorageConfig,
     /// Continue what an interrupted run left in the output.
     pub resume: bool,
     /// Number of threads; one for each core where absent. The result does not depend on it.
     pub threads: Option<usize>,
+    /// Whether other processes work on the same dataset.
+    pub sharing: Sharing,
+}
+
+/// How a dataset's episodes are shared between processes. The result does not depend on it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Sharing {
+    /// This process renders them all.
+    #[default]
+    Alone,
+    /// This process takes shards as long as there are any, beside others of the same command.
+    Join,
+    /// This process makes these shards; which are made where, another program decides.
+    Only(Vec<usize>),
 }
 
 /// What rendering gave.
@@ -135,7 +148,7 @@ pub struct RenderReport {
     pub episodes: u64,
     /// Episodes that an earlier run had written.
     pub resumed: u64,
-    /// Episodes left out because the judge had refused them.
+    /// Episodes left out because the judge had refused them, or physics failed.
     pub filtered: u64,
     /// Episodes left out because a frame was unfit, and why.
     pub quarantined: Vec<String>,
@@ -160,6 +173,48 @@ impl RenderReport {
 /// Where the trajectories, the rig or the assets are wrong, a device or the disk fails, or the user
 /// asked to stop; whole shards are kept then.
 pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderReport, Error> {
+    with_job(request, context, |job, selected, mut backend| match &request.sharing {
+        Sharing::Alone => job.run(selected, backend.as_mut()),
+        Sharing::Join => share::join(job, selected, backend.as_mut()),
+        Sharing::Only(parts) => share::make(job, selected, parts, backend.as_mut()),
+    })
+}
+
+/// Counts what a request would render, without rendering it.
+///
+/// # Errors
+/// As [`render`].
+pub fn dry_run(request: &RenderRequest, context: &Context<'_>) -> Result<DryRun, Error> {
+    with_job(request, context, |job, selected, _| {
+        let parts = share::parts(job, selected);
+        let episodes = selected.iter().filter(|&&index| job.refusal(index).is_none()).count();
+        Ok(DryRun {
+            episodes,
+            filtered: selected.len() - episodes,
+            frames: job.frames(selected),
+            shards: parts.len(),
+        })
+    })
+}
+
+/// What a request would render.
+#[derive(Debug, Clone, Serialize)]
+pub struct DryRun {
+    /// Episodes.
+    pub episodes: usize,
+    /// Episodes that the judge has refused.
+    pub filtered: usize,
+    /// Frames of all episodes.
+    pub frames: u64,
+    /// Shards, which may be made by different processes.
+    pub shards: usize,
+}
+
+fn with_job<T: Send>(
+    request: &RenderRequest,
+    context: &Context<'_>,
+    work: impl FnOnce(&Job<'_>, &[usize], Box<dyn Backend>) -> Result<T, Error> + Send,
+) -> Result<T, Error> {
     let mut set = trajectory_file::read(&request.trajectories)?;
     let selected = request.filter.select(&request.trajectories, &set)?;
     let unfit = match request.states {
@@ -170,14 +225,19 @@ pub fn render(request: &RenderRequest, context: &Context<'_>) -> Result<RenderRe
     let source = Source::load(&request.trajectories, set, &request.assets, context)?;
     variant.check_fits(&source)?;
     let backend = open_backend(request.backend, context)?;
-    let mut backend = request.supersampling.over(backend);
+    let backend = request.supersampling.over(backend);
     let scene = variant.lit(&source.scene);
-    on_threads(request.threads, || {
-        let (scene, observer) = (&scene, context.observer);
-        let job =
-            Job { request, source: &source, scene, variant: &variant, unfit: &unfit, observer };
-        job.run(&selected, backend.as_mut())
-    })
+    let job = Job {
+        request,
+        source: &source,
+        scene: &scene,
+        variant: &variant,
+        unfit: &unfit,
+        look: Look::new(request)?,
+        backend: backend.name().to_owned(),
+        observer: context.observer,
+    };
+    on_threads(request.threads, || work(&job, &selected, backend))
 }
 
 /// A trajectory file and what it was planned with.
@@ -282,91 +342,108 @@ impl Variant {
 pub(super) struct Job<'a> {
     pub request: &'a RenderRequest,
     pub source: &'a Source,
-    /// The source's scene, with its own light.
+    /// The source's scene, in the variant's light.
     pub scene: &'a RenderScene,
     pub variant: &'a Variant,
     /// Why episodes are left out, by position.
     pub unfit: &'a BTreeMap<usize, String>,
+    pub look: Look,
+    /// Name of the renderer that draws.
+    pub backend: String,
     pub observer: &'a dyn Observer,
 }
 
 impl Job<'_> {
-    /// Renders the trajectories at these positions.
+    /// Renders the trajectories at these positions in this process alone.
     pub fn run(
         &self,
         selected: &[usize],
         backend: &mut dyn Backend,
     ) -> Result<RenderReport, Error> {
-        let started = std::time::Instant::now();
-        let (set, config) = (&self.source.set, &self.variant.config);
-        if let Some(&first) = selected.first() {
-            self.variant.check_placement(self.source, first)?;
+        self.check_placement(selected)?;
+        let mut tally = Tally::new(self, self.frames(selected));
+        let mut writers = self.open_writers()?;
+        self.render_episodes(selected, &mut writers, backend, &mut tally, &mut || Ok(()))?;
+        for writer in writers {
+            writer.close()?;
         }
-        let look = Look::new(self.request)?;
-        let trajectories = || selected.iter().map(|&index| (index, &set.trajectories[index]));
-        let frames: usize = trajectories()
-            .map(|(_, t)| t.frame_times(config.rate_hz, config.manipulation_only).len())
-            .sum();
-        let (datasets, mut writers) = self.open_writers(backend.name())?;
-        let mut report = RenderReport {
-            datasets,
-            backend: backend.name().to_owned(),
-            ..RenderReport::default()
-        };
-        self.observer.event(&Event::StageStarted { stage: STAGE, total: Some(frames as u64) });
-        for (index, trajectory) in trajectories() {
-            if writers.iter().all(|writer| writer.contains(&trajectory.id)) {
-                report.resumed += 1;
+        Ok(tally.finish())
+    }
+
+    /// Refuses rigs that do not even fit the first of the trajectories at these positions.
+    pub fn check_placement(&self, selected: &[usize]) -> Result<(), Error> {
+        let check = |&first| self.variant.check_placement(self.source, first);
+        selected.first().map_or(Ok(()), check)
+    }
+
+    /// Renders the trajectories at these positions into writers that stay open. `on_batch` is called after
+    /// every few frames.
+    pub fn render_episodes(
+        &self,
+        positions: &[usize],
+        writers: &mut [DatasetWriter],
+        backend: &mut dyn Backend,
+        tally: &mut Tally<'_>,
+        on_batch: &mut dyn FnMut() -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        for &index in positions {
+            let trajectory = &self.source.set.trajectories[index];
+            let mut open: Vec<&mut DatasetWriter> =
+                writers.iter_mut().filter(|w| !w.contains(&trajectory.id)).collect();
+            if open.is_empty() {
+                tally.report.resumed += 1;
                 continue;
             }
-            let rejection = trajectory.verdict.as_ref().and_then(|v| v.rejection);
-            let unfit = self.unfit.get(&index).map(String::as_str);
-            if let Some(reason) = rejection.map(Rejection::name).or(unfit) {
-                for writer in writers.iter_mut().filter(|w| !w.contains(&trajectory.id)) {
+            if let Some(reason) = self.refusal(index) {
+                for writer in open {
                     writer.skip_episode(&trajectory.id, Status::Filtered, reason)?;
                 }
-                report.filtered += 1;
+                tally.report.filtered += 1;
                 continue;
             }
-            let (scene, appearance) = look.of(self, trajectory)?;
+            let (scene, appearance) = self.look.of(self, trajectory)?;
             let renderer = self.renderer(&scene);
             let episode = renderer.episode(trajectory)?;
-            let mut info = self.info(index, &episode, backend.name());
+            let mut info = self.info(index, &episode);
             info.labels = scene.segment_labels();
             if let Some(appearance) = appearance {
                 info.provenance["renderer"]["lighting"] = json!(appearance.lighting);
                 info.provenance["renderer"]["appearance"] = json!(appearance);
             }
-            let mut open: Vec<&mut DatasetWriter> =
-                writers.iter_mut().filter(|w| !w.contains(&trajectory.id)).collect();
             for writer in &mut open {
                 writer.begin_episode(info.clone())?;
             }
-            match self.render_episode(&episode, &mut open, backend, &mut report) {
-                Ok(()) => {
-                    for writer in &mut open {
-                        writer.finish_episode()?;
-                    }
-                    report.episodes += 1;
+            match self.render_frames(&episode, &mut open, backend, tally, on_batch)? {
+                None => {
+                    open.iter_mut().try_for_each(|writer| writer.finish_episode())?;
+                    tally.report.episodes += 1;
                 }
-                Err(Error::Render(RenderError::Refused { id, frame, refusal })) => {
-                    let reason = format!("frame {frame}: {refusal}");
-                    let message = format!("episode {id} is left out: {reason}");
-                    self.observer.event(&Event::Warning { message: &message });
-                    for writer in &mut open {
-                        writer.abandon_episode(&reason)?;
-                    }
-                    report.quarantined.push(format!("{id}: {reason}"));
+                Some(reason) => {
+                    open.iter_mut().try_for_each(|writer| writer.quarantine_episode(&reason))?;
+                    tally.leave_out(&trajectory.id, &reason);
                 }
-                Err(error) => return Err(error),
             }
         }
-        for writer in writers {
-            writer.close()?;
-        }
-        report.seconds = started.elapsed().as_secs_f64();
-        self.observer.event(&Event::StageFinished { stage: STAGE, seconds: report.seconds });
-        Ok(report)
+        Ok(())
+    }
+
+    /// Frames of the trajectories at these positions.
+    pub fn frames(&self, positions: &[usize]) -> u64 {
+        let EpisodeConfig { rate_hz, manipulation_only, .. } = self.variant.config;
+        let trajectories = positions.iter().map(|&index| &self.source.set.trajectories[index]);
+        trajectories.map(|t| t.frame_times(rate_hz, manipulation_only).len() as u64).sum()
+    }
+
+    /// Why the trajectory at a position is left out, if it is: the judge refused it, or it failed in physics.
+    pub fn refusal(&self, index: usize) -> Option<&str> {
+        let verdict = self.source.set.trajectories[index].verdict.as_ref();
+        let rejection = verdict.and_then(|verdict| verdict.rejection).map(Rejection::name);
+        rejection.or(self.unfit.get(&index).map(String::as_str))
+    }
+
+    /// Identities of the trajectories at these positions.
+    pub fn ids<'s>(&'s self, positions: &'s [usize]) -> impl Iterator<Item = &'s str> {
+        positions.iter().map(|&index| self.source.set.trajectories[index].id.as_str())
     }
 
     fn renderer<'b>(&'b self, scene: &'b RenderScene) -> EpisodeRenderer<'b> {
@@ -374,31 +451,44 @@ impl Job<'_> {
         EpisodeRenderer::new(&self.source.task, scene, &self.variant.rig, config)
     }
 
-    fn render_episode(
+    /// Renders an episode. Returns why it cannot be used, if so.
+    fn render_frames(
         &self,
         episode: &Episode<'_>,
         open: &mut [&mut DatasetWriter],
         backend: &mut dyn Backend,
-        report: &mut RenderReport,
-    ) -> Result<(), Error> {
+        tally: &mut Tally<'_>,
+        on_batch: &mut dyn FnMut() -> Result<(), Error>,
+    ) -> Result<Option<String>, Error> {
         let batch_frames = self.variant.batch_frames();
         for first in (0..episode.frame_count()).step_by(batch_frames) {
             if self.observer.cancelled() {
                 return Err(interrupted(&self.request.output));
             }
             let batch = first..(first + batch_frames).min(episode.frame_count());
-            for observation in episode.observe_batch(batch, backend)? {
-                report.images += observation.cameras.len() as u64;
+            let observations = match episode.observe_batch(batch, backend) {
+                Ok(observations) => observations,
+                Err(RenderError::Refused { frame, refusal, .. }) => {
+                    return Ok(Some(format!("frame {frame}: {refusal}")));
+                }
+                Err(error) => return Err(error.into()),
+            };
+            for observation in observations {
+                tally.report.images += observation.cameras.len() as u64;
+                if let Some(defect) = akrobat_packager::defect(&observation) {
+                    return Ok(Some(defect));
+                }
                 let (last, others) = open.split_last_mut().expect("there is a writer");
                 for writer in others {
                     writer.push(observation.clone())?;
                 }
                 last.push(observation)?;
-                report.frames += 1;
+                tally.report.frames += 1;
             }
-            self.observer.event(&Event::Progress { stage: STAGE, done: report.frames });
+            tally.show();
+            on_batch()?;
         }
-        Ok(())
+        Ok(None)
     }
 
     /// Renders some frames, spread over a trajectory, and stores them as a small dataset: what a frame costs.
@@ -412,10 +502,9 @@ impl Job<'_> {
         let renderer = self.renderer(self.scene);
         let episode = renderer.episode(&self.source.set.trajectories[index])?;
         let count = frames.min(episode.frame_count() as u32);
-        let mut info = self.info(index, &episode, backend.name());
+        let mut info = self.info(index, &episode);
         info.frames = count;
-        let mut writer =
-            DatasetWriter::create(folder, self.dataset_config(Container::Hdf5, backend.name()))?;
+        let mut writer = DatasetWriter::create(folder, self.dataset_config(Container::Hdf5))?;
         writer.begin_episode(info)?;
         for frame in 0..count {
             let place = frame as usize * episode.frame_count() / count as usize;
@@ -428,27 +517,26 @@ impl Job<'_> {
         Ok(count)
     }
 
-    /// One writer for each container, with its folder.
-    fn open_writers(&self, backend: &str) -> Result<(Vec<PathBuf>, Vec<DatasetWriter>), Error> {
-        let output = &self.request.output;
+    /// The dataset folders below `output`, and what each of them is.
+    pub fn datasets(&self, output: &Path) -> Vec<(PathBuf, DatasetConfig)> {
         let places = match self.request.format {
-            Format::Hdf5 => vec![(output.clone(), Container::Hdf5)],
-            Format::Mcap => vec![(output.clone(), Container::Mcap)],
+            Format::Hdf5 => vec![(output.to_path_buf(), Container::Hdf5)],
+            Format::Mcap => vec![(output.to_path_buf(), Container::Mcap)],
             Format::Both => {
                 vec![(output.join("hdf5"), Container::Hdf5), (output.join("mcap"), Container::Mcap)]
             }
         };
-        let mut writers = Vec::new();
-        for (folder, container) in &places {
-            let config = self.dataset_config(*container, backend);
-            let open =
-                if self.request.resume { DatasetWriter::resume } else { DatasetWriter::create };
-            writers.push(open(folder, config)?);
-        }
-        Ok((places.into_iter().map(|(folder, _)| folder).collect(), writers))
+        let config = |container| self.dataset_config(container);
+        places.into_iter().map(|(folder, container)| (folder, config(container))).collect()
     }
 
-    fn dataset_config(&self, container: Container, backend: &str) -> DatasetConfig {
+    fn open_writers(&self) -> Result<Vec<DatasetWriter>, Error> {
+        let open = if self.request.resume { DatasetWriter::resume } else { DatasetWriter::create };
+        let datasets = self.datasets(&self.request.output);
+        datasets.into_iter().map(|(folder, config)| Ok(open(&folder, config)?)).collect()
+    }
+
+    fn dataset_config(&self, container: Container) -> DatasetConfig {
         let task = &self.source.task;
         let (file, robot) = (&task.file, &task.robot);
         let licences = vec![
@@ -468,16 +556,13 @@ impl Job<'_> {
         DatasetConfig {
             container,
             licences,
-            provenance: self.provenance(backend),
-            episodes_per_shard: self
-                .request
-                .episodes_per_shard
-                .unwrap_or(defaults.episodes_per_shard),
+            provenance: self.provenance(),
+            storage: self.request.storage.clone(),
             ..defaults
         }
     }
 
-    fn provenance(&self, backend: &str) -> serde_json::Value {
+    fn provenance(&self) -> serde_json::Value {
         let header = &self.source.set.header;
         let config = &self.variant.config;
         json!({
@@ -485,11 +570,12 @@ impl Job<'_> {
             "content_hashes": header.content_hashes,
             "planner": { "backend": header.backend, "config": header.planner_config, "seed": header.seed },
             "renderer": {
-                "backend": backend,
+                "backend": self.backend,
                 "lighting": self.scene.lighting,
                 "supersampling": self.request.supersampling,
             },
             "states": self.request.states,
+            "modalities": config.modalities,
             "sensor": config.sensor,
             "cloud": config.cloud,
             "render_seed": config.seed,
@@ -497,11 +583,11 @@ impl Job<'_> {
         })
     }
 
-    fn info(&self, index: usize, episode: &Episode<'_>, backend: &str) -> EpisodeInfo {
+    fn info(&self, index: usize, episode: &Episode<'_>) -> EpisodeInfo {
         let Source { set, task, attachments, .. } = self.source;
         let (header, trajectory) = (&set.header, &set.trajectories[index]);
         let Variant { rig, config, .. } = self.variant;
-        let mut provenance = self.provenance(backend);
+        let mut provenance = self.provenance();
         provenance["drawn"] = drawn(episode);
         EpisodeInfo {
             id: trajectory.id.clone(),
@@ -553,7 +639,7 @@ fn drawn(episode: &Episode<'_>) -> serde_json::Value {
 }
 
 /// What episodes look like.
-enum Look {
+pub(super) enum Look {
     /// As the scene says.
     Plain,
     /// As drawn for each.
@@ -566,7 +652,7 @@ enum Look {
 const KEYFRAMES: usize = 9;
 
 impl Look {
-    fn new(request: &RenderRequest) -> Result<Self, Error> {
+    pub fn new(request: &RenderRequest) -> Result<Self, Error> {
         match (&request.variation, &request.appearance) {
             (Some(_), Some(_)) => {
                 Err(Error::Usage("a variation and a recorded appearance exclude each other".into()))
@@ -599,7 +685,46 @@ impl Look {
     }
 }
 
-fn interrupted(output: &Path) -> Error {
+/// What was done so far, and who is told.
+pub(super) struct Tally<'a> {
+    pub report: RenderReport,
+    observer: &'a dyn Observer,
+    started: std::time::Instant,
+}
+
+impl<'a> Tally<'a> {
+    /// Nothing yet, of `frames` frames.
+    pub fn new(job: &Job<'a>, frames: u64) -> Self {
+        job.observer.event(&Event::StageStarted { stage: STAGE, total: Some(frames) });
+        let datasets = job.datasets(&job.request.output);
+        let report = RenderReport {
+            datasets: datasets.into_iter().map(|(folder, _)| folder).collect(),
+            backend: job.backend.clone(),
+            ..RenderReport::default()
+        };
+        Self { report, observer: job.observer, started: std::time::Instant::now() }
+    }
+
+    fn leave_out(&mut self, id: &str, reason: &str) {
+        let message = format!("episode {id} is left out: {reason}");
+        self.observer.event(&Event::Warning { message: &message });
+        self.report.quarantined.push(format!("{id}: {reason}"));
+    }
+
+    fn show(&self) {
+        self.observer.event(&Event::Progress { stage: STAGE, done: self.report.frames });
+    }
+
+    /// The report, once all is done.
+    pub fn finish(mut self) -> RenderReport {
+        self.report.seconds = self.started.elapsed().as_secs_f64();
+        let seconds = self.report.seconds;
+        self.observer.event(&Event::StageFinished { stage: STAGE, seconds });
+        self.report
+    }
+}
+
+pub(super) fn interrupted(output: &Path) -> Error {
     let output = output.display();
     Error::Interrupted(format!("{output} holds only whole shards; --resume continues"))
 }

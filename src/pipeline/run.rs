@@ -10,16 +10,16 @@ use std::time::Instant;
 
 use akrobat_cameras::Modality;
 use akrobat_model::ModelError;
-use akrobat_packager::trajectory_file;
+use akrobat_packager::{StorageConfig, trajectory_file};
 use akrobat_renderer::pointcloud::CloudConfig;
-use akrobat_renderer::{Backend, Supersampling};
+use akrobat_renderer::{Backend, RenderScene, Supersampling};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::episodes::EpisodeFilter;
 use super::render::{
-    BackendChoice, DEFAULT_LIGHTING, Format, Job, RenderReport, RenderRequest, Source, Variant,
-    is_file, open_backend,
+    BackendChoice, DEFAULT_LIGHTING, Format, Job, Look, RenderReport, RenderRequest, Source,
+    Variant, is_file, open_backend,
 };
 use super::{Context, folder_of, on_threads};
 use crate::Error;
@@ -289,7 +289,10 @@ impl JobFile {
                         cloud: self.render.cloud.clone(),
                         seed: self.render.seed,
                         manipulation_only: self.render.manipulation_only,
-                        episodes_per_shard: self.render.episodes_per_shard.or(Some(1)),
+                        storage: StorageConfig {
+                            episodes_per_shard: self.render.episodes_per_shard.unwrap_or(1),
+                            ..StorageConfig::default()
+                        },
                         resume: true,
                         ..RenderRequest::default()
                     };
@@ -339,6 +342,27 @@ impl Combination {
         }
     }
 
+    fn job<'a>(
+        &'a self,
+        request: &'a RenderRequest,
+        source: &'a Source,
+        scene: &'a RenderScene,
+        unfit: &'a BTreeMap<usize, String>,
+        backend: &dyn Backend,
+        context: &Context<'a>,
+    ) -> Result<Job<'a>, Error> {
+        Ok(Job {
+            request,
+            source,
+            scene,
+            variant: &self.variant,
+            unfit,
+            look: Look::new(request)?,
+            backend: backend.name().to_owned(),
+            observer: context.observer,
+        })
+    }
+
     fn render(
         &self,
         target: &Target<'_>,
@@ -348,8 +372,8 @@ impl Combination {
     ) -> Result<RunOutput, Error> {
         let request = RenderRequest { output: target.folder.to_path_buf(), ..self.request.clone() };
         let (source, scene) = (target.source, self.variant.lit(&target.source.scene));
-        let (variant, unfit, observer) = (&self.variant, &BTreeMap::new(), context.observer);
-        let job = Job { request: &request, source, scene: &scene, variant, unfit, observer };
+        let unfit = BTreeMap::new();
+        let job = self.job(&request, source, &scene, &unfit, backend, context)?;
         let report = job.run(target.selected, backend)?;
         Ok(RunOutput { report: Some(report), ..output })
     }
@@ -363,9 +387,9 @@ impl Combination {
         context: &Context<'_>,
     ) -> Result<RunOutput, Error> {
         let (source, scene) = (target.source, self.variant.lit(&target.source.scene));
-        let (variant, unfit, observer) = (&self.variant, &BTreeMap::new(), context.observer);
-        let job = Job { request: &self.request, source, scene: &scene, variant, unfit, observer };
-        variant.check_placement(source, target.selected[0])?;
+        let unfit = BTreeMap::new();
+        let job = self.job(&self.request, source, &scene, &unfit, backend, context)?;
+        self.variant.check_placement(source, target.selected[0])?;
         let temporary = tempfile::tempdir()
             .map_err(|e| Error::Failed(format!("cannot make a temporary folder: {e}")))?;
         // The first time, meshes are cut into clusters and buffers grow.

@@ -9,7 +9,9 @@ use akrobat_model::robot::BaseKind;
 use akrobat_model::{Phase, Pose, pose};
 use akrobat_packager::dataset::{Container, Licence, Status};
 use akrobat_packager::error::Result;
-use akrobat_packager::{Attachment, CloudLayout, DatasetConfig, DatasetWriter, EpisodeInfo};
+use akrobat_packager::{
+    Attachment, CloudLayout, DatasetConfig, DatasetWriter, EpisodeInfo, StorageConfig,
+};
 use nalgebra::{Point3, Vector3};
 
 /// Episodes that are stored.
@@ -27,7 +29,7 @@ const BALL_ID: u16 = 2;
 pub fn config(container: Container) -> DatasetConfig {
     DatasetConfig {
         container,
-        episodes_per_shard: 2,
+        storage: StorageConfig { episodes_per_shard: 2, ..StorageConfig::default() },
         licences: vec![Licence {
             asset: "ball".into(),
             license: "CC0-1.0".into(),

@@ -1,12 +1,19 @@
 //! Reading datasets: episodes and their arrays.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use hdf5::{Dataset, H5Type, Hyperslab, SliceOrIndex};
+use bytemuck::Pod;
+use hdf5::{Dataset, H5Type};
+use rayon::prelude::*;
 
-use super::manifest::{self, Container, DatasetConfig, Description, ManifestEntry, StoredEpisode};
+use super::description::Description;
+use super::manifest::{self, Container, DatasetConfig, ManifestEntry, StoredEpisode};
 use crate::error::{PackError, Result};
 use crate::h5::{H5Reader, read_error};
+
+/// Levels of groups below an episode.
+const MAX_DEPTH: usize = 8;
 
 /// Values of an array, in the type they are stored in.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,6 +61,10 @@ impl DatasetReader {
         &self.folder
     }
 
+    pub(crate) fn description(&self) -> &Description {
+        &self.description
+    }
+
     /// What all episodes share.
     pub fn config(&self) -> &DatasetConfig {
         &self.description.config
@@ -74,13 +85,27 @@ impl DatasetReader {
         self.entries.iter().filter_map(|e| Some((e.id.as_str(), e.stored.as_ref()?)))
     }
 
+    /// The file of a stored episode, which is no symbolic link.
+    ///
+    /// # Errors
+    /// [`PackError::Content`].
+    pub fn file_of(&self, stored: &StoredEpisode) -> Result<PathBuf> {
+        let path = self.folder.join(&stored.shard);
+        let linked = [path.parent().unwrap_or(&path), &path].iter().any(|p| p.is_symlink());
+        if linked {
+            let expected = "a file in the dataset's folder";
+            return Err(PackError::content(&path, "shard", expected, "a symbolic link"));
+        }
+        Ok(path)
+    }
+
     /// Opens a stored episode of an HDF5 dataset.
     ///
     /// # Errors
     /// [`PackError::Content`] where the dataset holds MCAP logs or the shard lacks the episode, and as
     /// opening its file.
     pub fn episode(&self, stored: &StoredEpisode) -> Result<EpisodeReader> {
-        let path = self.folder.join(&stored.shard);
+        let path = self.file_of(stored)?;
         if self.config().container != Container::Hdf5 {
             return Err(PackError::content(&path, "container", "HDF5 shards", "MCAP logs"));
         }
@@ -116,7 +141,17 @@ impl EpisodeReader {
         format!("{}/{name}", self.root)
     }
 
-    /// Paths of all numeric arrays below the episode, sorted; hard links are listed under each name.
+    pub(crate) fn source(&self) -> (&H5Reader, &str) {
+        (&self.file, &self.root)
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Paths of all numeric arrays below the episode, sorted; hard links are listed under each name. Colours
+    /// that are stored as image files are listed as the arrays that they are read as.
     ///
     /// # Errors
     /// [`PackError::Damaged`].
@@ -135,9 +170,19 @@ impl EpisodeReader {
         for member in members {
             let name = if below.is_empty() { member } else { format!("{below}/{member}") };
             match self.file.dataset(&self.path_of(&name)) {
-                Ok(dataset) if kind_of(&dataset).is_some() => names.push(name),
+                Ok(dataset) if kind_of(&dataset).is_some() => {
+                    names.push(match name.strip_suffix("_rgb_encoded") {
+                        Some(camera) => format!("{camera}_rgb"),
+                        None => name,
+                    });
+                }
                 Ok(_) => {}
-                Err(_) => self.collect(&name, names)?,
+                // More levels than we ever write are a loop of links.
+                Err(_) if name.matches('/').count() < MAX_DEPTH => self.collect(&name, names)?,
+                Err(_) => {
+                    let path = self.file.path();
+                    return Err(PackError::damaged(path, format!("{name}: groups without end")));
+                }
             }
         }
         Ok(())
@@ -161,13 +206,33 @@ impl EpisodeReader {
         self.file.attr_strings(&group, name)
     }
 
+    /// An attribute of the episode that is one number of exactly this type.
+    ///
+    /// # Errors
+    /// [`PackError::Content`] where it is absent or of another type.
+    pub fn number<T: H5Type>(&self, name: &str) -> Result<T> {
+        let group = self.file.group(&self.root)?;
+        self.file.attr(&group, name)
+    }
+
     /// Number of frames.
     ///
     /// # Errors
     /// [`PackError::Content`] where the attribute is absent.
     pub fn frames(&self) -> Result<u64> {
-        let group = self.file.group(&self.root)?;
-        self.file.attr(&group, "num_samples")
+        self.number("num_samples")
+    }
+
+    /// Length of every axis of an array.
+    ///
+    /// # Errors
+    /// [`PackError::Content`] where it is absent.
+    pub fn shape(&self, name: &str) -> Result<Vec<usize>> {
+        if let Some(files) = self.color_files(name)? {
+            return Ok(files.shape());
+        }
+        let path = self.path_of(name);
+        self.file.dataset(&path)?.get_shape().map_err(|e| read_error(self.file.path(), &path, &e))
     }
 
     /// A whole array, by its path below the episode: `actions`, `camera_obs/fixed_rgb`, …
@@ -175,15 +240,8 @@ impl EpisodeReader {
     /// # Errors
     /// [`PackError::Content`] where it is absent or not numeric, [`PackError::Damaged`] where a checksum fails.
     pub fn array(&self, name: &str) -> Result<Array> {
-        let path = self.path_of(name);
-        let dataset = self.file.dataset(&path)?;
-        let any = vec![None; dataset.ndim()];
-        match self.kind(&path, &dataset)? {
-            Kind::U8 => self.whole(&path, &any, Values::U8),
-            Kind::U16 => self.whole(&path, &any, Values::U16),
-            Kind::F32 => self.whole(&path, &any, Values::F32),
-            Kind::F64 => self.whole(&path, &any, Values::F64),
-        }
+        let rows = self.shape(name)?.first().copied().unwrap_or(1);
+        self.rows(name, 0..rows)
     }
 
     /// One row along an array's first axis: frame `index`.
@@ -191,53 +249,107 @@ impl EpisodeReader {
     /// # Errors
     /// As [`EpisodeReader::array`], and [`PackError::Content`] where there is no such frame.
     pub fn frame(&self, name: &str, index: usize) -> Result<Array> {
+        let mut array = self.rows(name, index..index + 1)?;
+        array.shape.remove(0);
+        Ok(array)
+    }
+
+    /// Rows along an array's first axis. No more memory is asked for than they take.
+    ///
+    /// # Errors
+    /// As [`EpisodeReader::array`], and [`PackError::Content`] where the array has fewer rows.
+    pub fn rows(&self, name: &str, rows: Range<usize>) -> Result<Array> {
+        if let Some(files) = self.color_files(name)? {
+            return files.rows(&self.file, rows);
+        }
         let path = self.path_of(name);
         let dataset = self.file.dataset(&path)?;
-        let frames = dataset.shape().first().copied().unwrap_or(0);
-        if index >= frames {
-            let expected = format!("a frame below {frames}");
-            return Err(PackError::content(self.file.path(), path, expected, index.to_string()));
-        }
-        match self.kind(&path, &dataset)? {
-            Kind::U8 => self.row(&path, &dataset, index, Values::U8),
-            Kind::U16 => self.row(&path, &dataset, index, Values::U16),
-            Kind::F32 => self.row(&path, &dataset, index, Values::F32),
-            Kind::F64 => self.row(&path, &dataset, index, Values::F64),
-        }
-    }
-
-    fn kind(&self, path: &str, dataset: &Dataset) -> Result<Kind> {
-        kind_of(dataset).ok_or_else(|| {
+        let kind = kind_of(&dataset).ok_or_else(|| {
             let expected = "u8, u16, f32 or f64 values";
-            PackError::content(self.file.path(), path, expected, "another type")
-        })
+            PackError::content(self.file.path(), &path, expected, "another type")
+        })?;
+        match kind {
+            Kind::U8 => self.typed_rows(&path, &dataset, rows, Values::U8),
+            Kind::U16 => self.typed_rows(&path, &dataset, rows, Values::U16),
+            Kind::F32 => self.typed_rows(&path, &dataset, rows, Values::F32),
+            Kind::F64 => self.typed_rows(&path, &dataset, rows, Values::F64),
+        }
     }
 
-    fn whole<T: H5Type>(
-        &self,
-        path: &str,
-        shape: &[Option<usize>],
-        wrap: impl Fn(Vec<T>) -> Values,
-    ) -> Result<Array> {
-        let (values, shape) = self.file.array::<T>(path, shape)?;
-        Ok(Array { shape, values: wrap(values) })
-    }
-
-    fn row<T: H5Type>(
+    fn typed_rows<T: H5Type + Pod>(
         &self,
         path: &str,
         dataset: &Dataset,
-        index: usize,
+        rows: Range<usize>,
         wrap: impl Fn(Vec<T>) -> Values,
     ) -> Result<Array> {
-        let mut selection = vec![SliceOrIndex::from(index..index + 1)];
-        selection.extend(dataset.shape()[1..].iter().map(|&length| SliceOrIndex::from(0..length)));
-        let row = dataset
-            .read_slice::<T, _, ndarray::IxDyn>(Hyperslab::from(selection))
-            .map_err(|e| read_error(self.file.path(), path, &e))?;
-        let shape = row.shape()[1..].to_vec();
-        Ok(Array { shape, values: wrap(row.into_iter().collect()) })
+        let any = vec![None; dataset.ndim()];
+        let (dataset, mut shape) = self.file.checked::<T>(path, &any)?;
+        check_rows(&self.file, path, &rows, shape.first().copied().unwrap_or(1))?;
+        let values = self.file.rows(path, &dataset, rows.clone())?;
+        if let Some(first) = shape.first_mut() {
+            *first = rows.len();
+        }
+        Ok(Array { shape, values: wrap(values) })
     }
+
+    /// The image files behind `name`, where it is the name of colours that are stored so.
+    fn color_files(&self, name: &str) -> Result<Option<ColorFiles>> {
+        let Some(camera) = name.strip_suffix("_rgb") else { return Ok(None) };
+        let path = self.path_of(&format!("{camera}_rgb_encoded"));
+        let Ok(dataset) = self.file.dataset(&path) else { return Ok(None) };
+        let size = [self.file.attr(&dataset, "height")?, self.file.attr(&dataset, "width")?];
+        // The offsets are not linked under `obs/`.
+        let camera = camera.rsplit('/').next().unwrap_or(camera);
+        let offsets = self.path_of(&format!("camera_obs/{camera}_rgb_offsets"));
+        let (offsets, _) = self.file.array::<u64>(&offsets, &[None])?;
+        Ok(Some(ColorFiles { path, offsets, size }))
+    }
+}
+
+/// One camera's colours as image files.
+struct ColorFiles {
+    path: String,
+    /// Where each frame's file begins, and where the last one ends.
+    offsets: Vec<u64>,
+    /// Height and width.
+    size: [u32; 2],
+}
+
+impl ColorFiles {
+    fn shape(&self) -> Vec<usize> {
+        let [height, width] = self.size.map(|length| length as usize);
+        vec![self.offsets.len().saturating_sub(1), height, width, 3]
+    }
+
+    fn rows(&self, file: &H5Reader, rows: Range<usize>) -> Result<Array> {
+        let (dataset, bytes) = file.checked::<u8>(&self.path, &[None])?;
+        let mut shape = self.shape();
+        check_rows(file, &self.path, &rows, shape[0])?;
+        shape[0] = rows.len();
+        let damaged = |frame: usize, message: String| {
+            PackError::damaged(file.path(), format!("{}: frame {frame} {message}", self.path))
+        };
+        let images = rows.into_par_iter().map(|frame| {
+            let (first, end) = (self.offsets[frame], self.offsets[frame + 1]);
+            if first > end || end > bytes[0] as u64 {
+                return Err(damaged(frame, format!("lies at {first}..{end} of {bytes:?} bytes")));
+            }
+            let content = file.rows::<u8>(&self.path, &dataset, first as usize..end as usize)?;
+            let [height, width] = self.size;
+            crate::color::decode(&content, width, height).map_err(|m| damaged(frame, m))
+        });
+        let images = images.collect::<Result<Vec<_>>>()?;
+        Ok(Array { shape, values: Values::U8(images.concat()) })
+    }
+}
+
+fn check_rows(file: &H5Reader, path: &str, rows: &Range<usize>, count: usize) -> Result<()> {
+    if rows.end <= count {
+        return Ok(());
+    }
+    let expected = format!("a frame below {count}");
+    Err(PackError::content(file.path(), path, expected, (rows.end - 1).to_string()))
 }
 
 /// Types that arrays of an episode have.

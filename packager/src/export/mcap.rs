@@ -9,9 +9,10 @@ use akrobat_model::{Phase, Pose};
 use super::maniskill::pose_of_matrix;
 use super::sink::{ExportHeader, Sink};
 use super::source::{CameraBatch, Episode, FrameBatch, pose_of_row};
+use crate::dataset::{Container, DatasetConfig};
 use crate::episode::{CloudLayout, EpisodeInfo};
 use crate::error::Result;
-use crate::mcap_log::{ColorEncoding, McapWriter};
+use crate::mcap_log::McapWriter;
 
 /// Writes a folder of logs.
 pub(super) struct McapSink {
@@ -69,7 +70,12 @@ impl Sink for McapSink {
     fn begin(&mut self, episode: &Episode) -> Result<()> {
         let path = self.folder.join(format!("episode_{}.mcap", episode.index));
         let info = self.info(episode);
-        self.open = Some(McapWriter::create(&path, info, ColorEncoding::Png)?);
+        let dataset = DatasetConfig {
+            container: Container::Mcap,
+            provenance: self.header.provenance.clone(),
+            ..DatasetConfig::new(&self.header.name, info.rig.clone())
+        };
+        self.open = Some(McapWriter::create(&path, info, &dataset)?);
         Ok(())
     }
 

@@ -126,7 +126,7 @@ impl ExportHeader {
                 cloud_points: episode.cloud_points,
                 licences: dataset.licences.clone(),
                 provenance: dataset.provenance.clone(),
-                conventions: conventions(config, dataset.depth),
+                conventions: conventions(config, dataset.storage.depth),
             });
             header.check(source, &episode)?;
             header.add(&episode);

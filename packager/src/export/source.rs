@@ -313,7 +313,7 @@ fn check_key(manifest: &std::path::Path, key: &str) -> Result<()> {
 
 /// The cameras asked for. Their names become names of files and groups.
 fn chosen_cameras(dataset: &DatasetReader, config: &ExportConfig) -> Result<Vec<CameraSpec>> {
-    let place = dataset.folder().join(crate::dataset::manifest::DESCRIPTION);
+    let place = dataset.folder().join(crate::dataset::DESCRIPTION);
     let rig = &dataset.config().rig;
     rig.validate("rig").map_err(|e| PackError::damaged(&place, e.to_string()))?;
     if config.cameras.is_empty() {

@@ -5,9 +5,9 @@ use std::path::Path;
 use hdf5::{Dataset, H5Type};
 use rayon::prelude::*;
 
+use crate::codec::Compression;
 use crate::error::Result;
 use crate::h5::{GroupWriter, write_chunk, write_error};
-use crate::shard::codec;
 
 /// A dataset `[T, …]` that is filled frame by frame.
 #[derive(Debug)]
@@ -21,7 +21,7 @@ impl FrameStack {
     pub fn create<T: H5Type>(group: &GroupWriter, name: &str, shape: &[usize]) -> Result<Self> {
         let mut chunk = shape.to_vec();
         chunk[0] = 1;
-        let dataset = group.chunked::<T>(name, shape, &chunk)?;
+        let dataset = group.chunked::<T>(name, shape, &chunk, Compression::PORTABLE)?;
         Ok(Self { dataset, element_bytes: size_of::<T>() })
     }
 
@@ -50,7 +50,7 @@ pub(super) fn write(path: &Path, count: usize, stacks: &[Frames<'_>]) -> Result<
         .collect();
     let encoded: Vec<Vec<u8>> = jobs
         .par_iter()
-        .map(|(stack, _, bytes)| codec::encode(bytes, stack.element_bytes))
+        .map(|(stack, _, bytes)| Compression::PORTABLE.encode(bytes, stack.element_bytes))
         .collect();
     for ((stack, frame, _), chunk) in jobs.iter().zip(&encoded) {
         let mut offset = vec![0; stack.dataset.ndim()];

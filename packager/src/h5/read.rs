@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use hdf5::filters::Filter;
 use hdf5::types::VarLenUnicode;
 use hdf5::{Container, Dataset, File, H5Type, Location};
 
-use super::{DEFLATE_MAX_RATIO, read_error};
+use super::{DEFLATE_MAX_RATIO, MAX_RATIO, read_error};
 use crate::error::{PackError, Result};
 
 /// An HDF5 file that may be damaged or hostile.
@@ -56,25 +57,37 @@ impl H5Reader {
 
     /// Values and shape of a dataset of exactly this type. `expected` gives each axis' length;
     /// `None` takes any.
-    pub fn array<T: H5Type>(
+    pub fn array<T: H5Type + bytemuck::Pod>(
         &self,
         name: &str,
         expected: &[Option<usize>],
     ) -> Result<(Vec<T>, Vec<usize>)> {
+        let (dataset, shape) = self.checked::<T>(name, expected)?;
+        let rows = shape.first().copied().unwrap_or(1);
+        Ok((self.rows(name, &dataset, 0..rows)?, shape))
+    }
+
+    /// A dataset of exactly this type and shape, and its shape, which the file can hold.
+    pub fn checked<T: H5Type>(
+        &self,
+        name: &str,
+        expected: &[Option<usize>],
+    ) -> Result<(Dataset, Vec<usize>)> {
         let dataset = self.dataset(name)?;
         let shape = self.checked_shape(name, &dataset, expected)?;
         self.check_type::<T>(name, &dataset)?;
         self.check_storage::<T>(name, &dataset, &shape)?;
-        if shape.contains(&0) {
-            return Ok((Vec::new(), shape));
-        }
-        let values = dataset.read_raw().map_err(|e| read_error(&self.path, name, &e))?;
-        Ok((values, shape))
+        Ok((dataset, shape))
     }
 
     /// Texts of a one-dimensional dataset.
     pub fn strings(&self, name: &str, expected: usize) -> Result<Vec<String>> {
-        let (values, _) = self.array::<VarLenUnicode>(name, &[Some(expected)])?;
+        let (dataset, shape) = self.checked::<VarLenUnicode>(name, &[Some(expected)])?;
+        if shape.contains(&0) {
+            return Ok(Vec::new());
+        }
+        let values: Vec<VarLenUnicode> =
+            dataset.read_raw().map_err(|e| read_error(&self.path, name, &e))?;
         values.iter().map(|v| self.text(name, v)).collect()
     }
 
@@ -154,7 +167,11 @@ impl H5Reader {
 
     fn check_storage<T>(&self, name: &str, dataset: &Dataset, shape: &[usize]) -> Result<()> {
         let stored = dataset.storage_size().min(self.file_bytes);
-        let ratio = if dataset.is_chunked() { DEFLATE_MAX_RATIO } else { 1 };
+        let ratio = match (dataset.is_chunked(), dataset.filters()) {
+            (false, _) => 1,
+            (true, filters) if filters.iter().any(|f| matches!(f, Filter::User(..))) => MAX_RATIO,
+            (true, _) => DEFLATE_MAX_RATIO,
+        };
         self.check_bytes::<T>(name, shape, stored.saturating_mul(ratio))
     }
 

@@ -7,7 +7,8 @@ use hdf5::file::{FileCloseDegree, LibraryVersion};
 use hdf5::types::VarLenUnicode;
 use hdf5::{Dataset, File, Group, H5Type, Location};
 
-use super::{DEFLATE_LEVEL, write_error};
+use super::{DIGEST_ATTRIBUTE, H5Reader, digest, write_error};
+use crate::codec::Compression;
 use crate::error::{PackError, Result};
 use crate::whole_file::PartialFile;
 
@@ -24,6 +25,7 @@ pub(crate) struct H5Writer {
 impl H5Writer {
     /// Starts the file that will be `path`.
     pub fn create(path: &Path) -> Result<Self> {
+        crate::codec::register();
         let partial = PartialFile::create(path)?;
         let file = File::with_options()
             .with_fapl(|fapl| {
@@ -55,6 +57,14 @@ impl H5Writer {
     /// Hands everything written so far to the system.
     pub fn flush(&self) -> Result<()> {
         self.file.flush().map_err(|e| write_error(self.path(), "/", &e))
+    }
+
+    /// Adds the checksum of everything in the file to the root's attributes.
+    pub fn seal(&self) -> Result<()> {
+        self.flush()?;
+        let sha256 =
+            digest(&self.file).map_err(|e| write_error(self.path(), DIGEST_ATTRIBUTE, &e))?;
+        self.root().attr_str(DIGEST_ATTRIBUTE, &sha256)
     }
 
     /// Closes the file and gives it its final name.
@@ -95,11 +105,6 @@ impl GroupWriter {
         Ok(Self { group, path: self.path.clone() })
     }
 
-    /// Removes a member.
-    pub fn unlink(&self, name: &str) -> Result<()> {
-        self.group.unlink(name).map_err(self.error(name))
-    }
-
     /// A second name, `name` below this group, for the object at the absolute path `target`.
     pub fn link(&self, target: &str, name: &str) -> Result<()> {
         self.group.link_hard(target, name).map_err(self.error(name))
@@ -111,18 +116,51 @@ impl GroupWriter {
         name: &str,
         shape: &[usize],
         chunk: &[usize],
+        compression: Compression,
     ) -> Result<Dataset> {
-        self.group
-            .new_dataset_builder()
-            .obj_track_times(false)
-            .chunk(chunk.to_vec())
-            .shuffle()
-            .deflate(DEFLATE_LEVEL)
+        let chunk_bytes = chunk.iter().product::<usize>() * size_of::<T>();
+        let filters = compression.filters(size_of::<T>(), chunk_bytes);
+        let builder = self.group.new_dataset_builder().obj_track_times(false);
+        let builder = builder.chunk(chunk.to_vec()).set_filters(&filters);
+        builder.empty::<T>().shape(shape.to_vec()).create(name).map_err(self.error(name))
+    }
+
+    /// An empty list of bytes that grows by whole chunks of `chunk` bytes, with checksums.
+    pub fn growing_bytes(&self, name: &str, chunk: usize) -> Result<Dataset> {
+        let builder = self.group.new_dataset_builder().obj_track_times(false).chunk((chunk,));
+        builder
             .fletcher32()
-            .empty::<T>()
-            .shape(shape.to_vec())
+            .empty::<u8>()
+            .shape(hdf5::SimpleExtents::resizable([0usize]))
             .create(name)
             .map_err(self.error(name))
+    }
+
+    /// Copies an object with everything below it, as it is stored, to `name` below this group.
+    pub fn copy_from(&self, source: &H5Reader, object: &str, name: &str) -> Result<()> {
+        let error = self.error(name);
+        let text = |text: &str| std::ffi::CString::new(text).map_err(|e| e.to_string().into());
+        let (from, to) = text(object).and_then(|from| Ok((from, text(name)?))).map_err(&error)?;
+        let copied = hdf5::sync::sync(|| {
+            // SAFETY: both places are open, and the names are NUL-terminated and outlive the call.
+            let status = unsafe {
+                hdf5_sys::h5o::H5Ocopy(
+                    source.root().id(),
+                    from.as_ptr(),
+                    self.group.id(),
+                    to.as_ptr(),
+                    hdf5_sys::h5p::H5P_DEFAULT,
+                    hdf5_sys::h5p::H5P_DEFAULT,
+                )
+            };
+            if status < 0 { Err(hdf5::Error::query()?) } else { Ok(()) }
+        });
+        copied.map_err(error)
+    }
+
+    /// Removes what was made below this group.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        self.group.unlink(name).map_err(self.error(name))
     }
 
     /// A whole array, chunked along its first axis.
@@ -143,7 +181,7 @@ impl GroupWriter {
         let row = count / shape[0];
         let mut chunk = shape.to_vec();
         chunk[0] = (CHUNK_VALUES / row).clamp(1, shape[0]);
-        let dataset = self.chunked::<T>(name, shape, &chunk)?;
+        let dataset = self.chunked::<T>(name, shape, &chunk, Compression::PORTABLE)?;
         dataset.write_raw(values).map_err(self.error(name))?;
         Ok(dataset)
     }

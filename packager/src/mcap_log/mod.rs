@@ -6,8 +6,10 @@
 //! from the start of the trajectory.
 
 pub(crate) mod cdr;
+pub(crate) mod content;
 pub(crate) mod definitions;
 mod messages;
+pub(crate) mod read;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -16,31 +18,24 @@ use std::path::Path;
 
 use akrobat_cameras::{CameraFrame, Observation};
 use akrobat_model::Pose;
-use image::ImageEncoder;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
+use crate::color;
+use crate::dataset::DatasetConfig;
 use crate::episode::EpisodeInfo;
 use crate::error::{PackError, Result};
 use crate::shard::check_observation;
+use crate::storage::ColorEncoding;
 use crate::whole_file::PartialFile;
 use messages::optical_frame;
 
-/// How colour images are stored in MCAP logs.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ColorEncoding {
-    /// Lossless.
-    #[default]
-    Png,
-    /// Quality 95.
-    Jpeg,
-}
+/// Metadata record that holds the dataset's configuration as JSON.
+pub(crate) const DATASET_METADATA: &str = "akrobat.dataset";
 
-/// Quality of JPEG images.
-const JPEG_QUALITY: u8 = 95;
+/// Metadata record that tells what is known of the episode.
+pub(crate) const EPISODE_METADATA: &str = "akrobat.episode";
 
 /// Bytes after which a compressed chunk of messages is closed.
 const CHUNK_BYTES: u64 = 4 << 20;
@@ -60,7 +55,8 @@ impl McapWriter {
     ///
     /// # Errors
     /// [`PackError::Unwritable`] where the file cannot be created, [`PackError::Io`].
-    pub fn create(path: &Path, info: EpisodeInfo, color: ColorEncoding) -> Result<Self> {
+    pub fn create(path: &Path, info: EpisodeInfo, dataset: &DatasetConfig) -> Result<Self> {
+        let color = dataset.storage.color;
         let partial = PartialFile::create(path)?;
         let file = File::create(partial.path()).map_err(|e| PackError::create(path, e))?;
         let options = WriteOptions::new()
@@ -73,6 +69,9 @@ impl McapWriter {
         let mut writer = options.create(BufWriter::new(file)).map_err(error)?;
         let channels = Channels::add(&mut writer, &info).map_err(error)?;
         write_metadata(&mut writer, &info).map_err(error)?;
+        let metadata = [("config".to_owned(), dataset.to_json())].into();
+        let record = Metadata { name: DATASET_METADATA.into(), metadata };
+        writer.write_metadata(&record).map_err(error)?;
         write_attachments(&mut writer, &info).map_err(error)?;
         Ok(Self { writer, partial, info, color, channels, frames: 0 })
     }
@@ -201,9 +200,10 @@ fn camera_messages(
     path: &Path,
     time_ns: u64,
     camera: &CameraFrame,
-    color: ColorEncoding,
+    encoding: ColorEncoding,
 ) -> Result<[Vec<u8>; 3]> {
-    let (format, data) = encode_color(camera, color).map_err(|e| PackError::Library {
+    let format = color::file_format(encoding).unwrap_or("png");
+    let data = color::encode(camera, encoding).map_err(|e| PackError::Library {
         path: path.to_path_buf(),
         item: format!("colour image of {}", camera.name),
         message: e.to_string(),
@@ -213,31 +213,6 @@ fn camera_messages(
         messages::depth_image(time_ns, camera),
         messages::camera_info(time_ns, camera),
     ])
-}
-
-fn encode_color(
-    camera: &CameraFrame,
-    color: ColorEncoding,
-) -> image::ImageResult<(&'static str, Vec<u8>)> {
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let rgb8 = image::ExtendedColorType::Rgb8;
-    let mut data = Vec::new();
-    match color {
-        ColorEncoding::Png => {
-            image::codecs::png::PngEncoder::new(&mut data).write_image(
-                &camera.rgb,
-                width,
-                height,
-                rgb8,
-            )?;
-            Ok(("png", data))
-        }
-        ColorEncoding::Jpeg => {
-            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut data, JPEG_QUALITY)
-                .write_image(&camera.rgb, width, height, rgb8)?;
-            Ok(("jpeg", data))
-        }
-    }
 }
 
 fn moving_frames(observation: &Observation) -> Vec<(String, Pose)> {
@@ -268,6 +243,7 @@ fn write_metadata(
         ("traj_index", info.traj_index.to_string()),
         ("frames", info.frames.to_string()),
         ("grasp_id", info.grasp_id.to_string()),
+        ("start", info.start.to_string()),
         ("goal", info.goal.to_string()),
         ("active_joint", info.active_joint.clone()),
         ("scene_id", info.scene_id.clone()),
@@ -276,7 +252,7 @@ fn write_metadata(
         ("provenance", info.provenance.to_string()),
     ];
     let metadata = entries.map(|(key, value)| (key.to_owned(), value)).into();
-    writer.write_metadata(&Metadata { name: "akrobat.episode".into(), metadata })
+    writer.write_metadata(&Metadata { name: EPISODE_METADATA.into(), metadata })
 }
 
 fn write_attachments(

@@ -18,10 +18,13 @@
 //! - `segment_labels/{id, group, name, class, class_id, instance_id}`, `class_labels/{id, name}`,
 //!   `instance_labels/{id, name}`, `time`, `phase`.
 //!
+//! Colours may be image files instead of arrays: `<camera>_rgb_encoded` and `<camera>_rgb_offsets`, see
+//! [`ColorEncoding`](crate::ColorEncoding).
+//!
 //! Images and clouds have one frame per chunk. Chunks are encoded on all cores and written in
 //! order, so the bytes do not depend on the number of threads.
 
-pub(crate) mod codec;
+mod encoded;
 pub(crate) mod series;
 
 use std::path::Path;
@@ -31,10 +34,15 @@ use akrobat_model::{Pose, pose};
 use hdf5::Dataset;
 use rayon::prelude::*;
 
+use crate::codec::Compression;
+use crate::color;
+use crate::dataset::{DatasetConfig, EpisodeReader};
 use crate::episode::{DepthEncoding, EpisodeInfo, metres, millimetres};
 use crate::error::{PackError, Result};
 use crate::h5::{GroupWriter, H5Writer, write_chunk, write_error};
+use crate::storage::StorageConfig;
 use crate::trajectory_file::phase_names;
+use encoded::EncodedImages;
 use series::{Series, pose_rows, targets, twists, velocities};
 
 /// Value of the root attribute `format`.
@@ -42,6 +50,9 @@ pub const FORMAT: &str = "akrobat.shard";
 
 /// Value of the root attribute `format_version`.
 pub const FORMAT_VERSION: u32 = 1;
+
+/// Root attribute that holds the dataset's configuration as JSON.
+pub(crate) const DATASET_ATTRIBUTE: &str = "dataset";
 
 /// Frames that are encoded together: enough for the cores, few enough for memory.
 const FRAMES_PER_BATCH: usize = 8;
@@ -51,7 +62,7 @@ const FRAMES_PER_BATCH: usize = 8;
 pub struct ShardWriter {
     file: H5Writer,
     data: GroupWriter,
-    depth: DepthEncoding,
+    storage: StorageConfig,
     episodes: u32,
     frames: u64,
     open: Option<OpenEpisode>,
@@ -61,8 +72,13 @@ impl ShardWriter {
     /// Starts the shard that will be `path`.
     ///
     /// # Errors
-    /// [`PackError::Unwritable`] where the file cannot be created.
-    pub fn create(path: &Path, depth: DepthEncoding) -> Result<Self> {
+    /// [`PackError::Unwritable`] where the file cannot be created, [`PackError::Inconsistent`] where
+    /// `storage` is not possible.
+    pub fn create(path: &Path, dataset: &DatasetConfig) -> Result<Self> {
+        let storage = dataset.storage.clone();
+        if let Some(problem) = storage.problem() {
+            return Err(PackError::inconsistent(path, "the shard", "possible storage", problem));
+        }
         let file = H5Writer::create(path)?;
         let root = file.root();
         root.attr_str("format", FORMAT)?;
@@ -70,8 +86,10 @@ impl ShardWriter {
         for (name, value) in CONVENTIONS {
             root.attr_str(name, value)?;
         }
+        // What all shards share is in each of them, so that a dataset can be put together from its shards.
+        root.attr_str(DATASET_ATTRIBUTE, &dataset.to_json())?;
         let data = root.group("data")?;
-        Ok(Self { file, data, depth, episodes: 0, frames: 0, open: None })
+        Ok(Self { file, data, storage, episodes: 0, frames: 0, open: None })
     }
 
     /// Number of finished episodes.
@@ -101,7 +119,7 @@ impl ShardWriter {
         check_info(path, &info)?;
         let key = format!("demo_{}", self.episodes);
         let group = self.data.group(&key)?;
-        self.open = Some(OpenEpisode::create(group, &key, info, self.depth)?);
+        self.open = Some(OpenEpisode::create(group, &key, info, &self.storage)?);
         Ok(key)
     }
 
@@ -123,7 +141,7 @@ impl ShardWriter {
     pub fn abandon_episode(&mut self) -> Result<()> {
         let open = self.open.take().ok_or_else(|| no_episode(self.file.path()))?;
         drop(open);
-        self.data.unlink(&format!("demo_{}", self.episodes))
+        self.data.remove(&format!("demo_{}", self.episodes))
     }
 
     /// Completes the episode.
@@ -137,6 +155,29 @@ impl ShardWriter {
         open.finish(&path)?;
         self.episodes += 1;
         self.file.flush()
+    }
+
+    /// Takes over an episode as it is stored elsewhere, and returns its key here.
+    ///
+    /// # Errors
+    /// [`PackError::Inconsistent`] where an episode is open, and where copying fails.
+    pub(crate) fn copy_episode(&mut self, source: &EpisodeReader) -> Result<String> {
+        if let Some(open) = &self.open {
+            let got = format!("episode {} open", open.info.id);
+            return Err(PackError::inconsistent(
+                self.file.path(),
+                "a copy",
+                "no open episode",
+                got,
+            ));
+        }
+        let key = format!("demo_{}", self.episodes);
+        let (file, root) = source.source();
+        self.data.copy_from(file, root, &key)?;
+        self.frames += source.frames()?;
+        self.episodes += 1;
+        self.file.flush()?;
+        Ok(key)
     }
 
     /// Closes the shard and gives it its final name.
@@ -181,7 +222,12 @@ const CONVENTIONS: [(&str, &str); 9] = [
 ];
 
 /// The datasets of one camera.
-type CameraDatasets = Vec<(Modality, Dataset)>;
+#[derive(Debug)]
+struct CameraDatasets {
+    images: Vec<(Modality, Dataset)>,
+    /// Colours, where they are stored as image files.
+    color_files: Option<EncodedImages>,
+}
 
 /// An episode between its first and last frame.
 #[derive(Debug)]
@@ -192,7 +238,7 @@ struct OpenEpisode {
     cameras: Vec<CameraDatasets>,
     cloud: Option<Dataset>,
     cloud_normals: Option<Dataset>,
-    depth: DepthEncoding,
+    storage: StorageConfig,
     series: Series,
     batch: Vec<Observation>,
 }
@@ -202,7 +248,7 @@ impl OpenEpisode {
         group: GroupWriter,
         key: &str,
         info: EpisodeInfo,
-        depth: DepthEncoding,
+        storage: &StorageConfig,
     ) -> Result<Self> {
         write_attributes(&group, &info)?;
         write_labels(&group.group("segment_labels")?, &info)?;
@@ -215,23 +261,35 @@ impl OpenEpisode {
         let mut cameras = Vec::new();
         for camera in &info.rig.cameras {
             let size = [frames, camera.height as usize, camera.width as usize];
-            let mut datasets = CameraDatasets::new();
+            let mut datasets = CameraDatasets { images: Vec::new(), color_files: None };
             for &modality in &info.modalities {
-                let dataset = create_images(&camera_group, &camera.name, modality, size, depth)?;
-                datasets.push((modality, dataset));
-                let name = format!("{}_{}", camera.name, modality.name());
+                let mut name = format!("{}_{}", camera.name, modality.name());
+                match color::file_format(storage.color).filter(|_| modality == Modality::Rgb) {
+                    None => {
+                        let images = create_images(&camera_group, &name, modality, size, storage)?;
+                        datasets.images.push((modality, images));
+                    }
+                    Some(format) => {
+                        let size = [camera.height, camera.width];
+                        let files =
+                            EncodedImages::create(&camera_group, &camera.name, format, size)?;
+                        datasets.color_files = Some(files);
+                        name.push_str("_encoded");
+                    }
+                }
                 obs.link(&format!("/data/{key}/camera_obs/{name}"), &name)?;
             }
             cameras.push(datasets);
         }
         let cloud = match info.cloud_points {
             0 => None,
-            points => Some(create_cloud(&group, &obs, key, &info, points)?),
+            _ => Some(create_cloud(&group, &obs, key, &info, storage)?),
         };
         let cloud_normals = match info.cloud_points {
             points if points > 0 && info.cloud.normals => {
                 let name = "point_cloud_normals";
-                let normals = group.chunked::<f32>(name, &[frames, points, 3], &[1, points, 3])?;
+                let (shape, chunk) = ([frames, points, 3], [1, points, 3]);
+                let normals = group.chunked::<f32>(name, &shape, &chunk, storage.compression())?;
                 group.dataset_attr_str(&normals, "frame", &info.cloud.frame)?;
                 obs.link(&format!("/data/{key}/{name}"), name)?;
                 Some(normals)
@@ -240,8 +298,18 @@ impl OpenEpisode {
         };
         let series = Series::new(info.rig.cameras.len());
         drop(obs);
-        let batch = Vec::new();
-        Ok(Self { info, group, camera_group, cameras, cloud, cloud_normals, depth, series, batch })
+        let (storage, batch) = (storage.clone(), Vec::new());
+        Ok(Self {
+            info,
+            group,
+            camera_group,
+            cameras,
+            cloud,
+            cloud_normals,
+            storage,
+            series,
+            batch,
+        })
     }
 
     fn push(&mut self, path: &Path, observation: Observation) -> Result<()> {
@@ -256,21 +324,38 @@ impl OpenEpisode {
         let first = self.series.len() - batch.len();
         let jobs: Vec<ChunkJob<'_>> =
             batch.iter().enumerate().flat_map(|(i, o)| self.jobs(first + i, o)).collect();
-        let encoded: Vec<_> = jobs.par_iter().map(ChunkJob::encode).collect();
+        let compression = self.storage.compression();
+        let encoded: Vec<_> = jobs.par_iter().map(|job| job.encode(compression)).collect();
         for (job, chunk) in jobs.iter().zip(&encoded) {
             let mut offset = vec![0; job.dataset.ndim()];
             offset[0] = job.frame as u64;
             write_chunk(job.dataset, &offset, chunk)
                 .map_err(|e| write_error(path, &job.dataset.name(), &e))?;
         }
+        drop(jobs);
+        self.write_color_files(path, &batch)
+    }
+
+    fn write_color_files(&mut self, path: &Path, batch: &[Observation]) -> Result<()> {
+        let encoding = self.storage.color;
+        for (index, camera) in self.cameras.iter_mut().enumerate() {
+            let Some(files) = &mut camera.color_files else { continue };
+            let name = &self.info.rig.cameras[index].name;
+            let encoded: Vec<Vec<u8>> = batch
+                .par_iter()
+                .map(|observation| color::encode(&observation.cameras[index], encoding))
+                .collect::<image::ImageResult<_>>()
+                .map_err(|e| encoded::encode_error(path, name, &e))?;
+            encoded.iter().try_for_each(|file| files.push(path, file))?;
+        }
         Ok(())
     }
 
     fn jobs<'a>(&'a self, frame: usize, observation: &'a Observation) -> Vec<ChunkJob<'a>> {
-        let depth = self.depth;
+        let depth = self.storage.depth;
         let images =
             self.cameras.iter().zip(&observation.cameras).flat_map(move |(datasets, images)| {
-                datasets.iter().map(move |(modality, dataset)| {
+                datasets.images.iter().map(move |(modality, dataset)| {
                     let data = match modality {
                         Modality::Rgb => ChunkData::Bytes(&images.rgb),
                         Modality::Depth => ChunkData::Depth(images, depth),
@@ -331,6 +416,11 @@ impl OpenEpisode {
             let extrinsics = format!("{}_world_from_camera", camera.name);
             self.camera_group.array(&extrinsics, &[frames, 4, 4], &series.world_from_camera)?;
         }
+        for (camera, datasets) in self.info.rig.cameras.iter().zip(self.cameras) {
+            if let Some(files) = datasets.color_files {
+                files.finish(path, &self.camera_group, &camera.name)?;
+            }
+        }
         Ok(())
     }
 }
@@ -353,20 +443,21 @@ enum ChunkData<'a> {
 }
 
 impl ChunkJob<'_> {
-    fn encode(&self) -> Vec<u8> {
+    fn encode(&self, compression: Compression) -> Vec<u8> {
+        let encode = |raw: &[u8], element_size| compression.encode(raw, element_size);
         match &self.data {
-            ChunkData::Bytes(bytes) => codec::encode(bytes, 1),
+            ChunkData::Bytes(bytes) => encode(bytes, 1),
             ChunkData::Depth(images, DepthEncoding::Millimetres) => {
-                codec::encode(&le_bytes(&images.depth_m, |d| millimetres(d).to_le_bytes()), 2)
+                encode(&le_bytes(&images.depth_m, |d| millimetres(d).to_le_bytes()), 2)
             }
             ChunkData::Depth(images, DepthEncoding::Metres) => {
-                codec::encode(&le_bytes(&images.depth_m, |d| metres(d).to_le_bytes()), 4)
+                encode(&le_bytes(&images.depth_m, |d| metres(d).to_le_bytes()), 4)
             }
-            ChunkData::Ids(ids) => codec::encode(&le_bytes(ids, u16::to_le_bytes), 2),
-            ChunkData::Floats(values) => codec::encode(&le_bytes(values, f32::to_le_bytes), 4),
+            ChunkData::Ids(ids) => encode(&le_bytes(ids, u16::to_le_bytes), 2),
+            ChunkData::Floats(values) => encode(&le_bytes(values, f32::to_le_bytes), 4),
             ChunkData::Positions(points) => {
                 let positions: Vec<f32> = points.iter().flat_map(|p| &p[..3]).copied().collect();
-                codec::encode(&le_bytes(&positions, f32::to_le_bytes), 4)
+                encode(&le_bytes(&positions, f32::to_le_bytes), 4)
             }
         }
     }
@@ -448,30 +539,32 @@ pub(crate) fn check_observation(
 
 fn create_images(
     group: &GroupWriter,
-    camera: &str,
+    name: &str,
     modality: Modality,
     [frames, height, width]: [usize; 3],
-    encoding: DepthEncoding,
+    storage: &StorageConfig,
 ) -> Result<Dataset> {
     let channels = modality.channels();
     let (shape, chunk) = ([frames, height, width, channels], [1, height, width, channels]);
-    let name = format!("{camera}_{}", modality.name());
+    let compression = storage.compression();
     match modality {
-        Modality::Rgb => group.chunked::<u8>(&name, &shape, &chunk),
+        Modality::Rgb => group.chunked::<u8>(name, &shape, &chunk, compression),
         Modality::Depth => {
-            let depth = match encoding {
-                DepthEncoding::Millimetres => group.chunked::<u16>(&name, &shape, &chunk),
-                DepthEncoding::Metres => group.chunked::<f32>(&name, &shape, &chunk),
+            let depth = match storage.depth {
+                DepthEncoding::Millimetres => {
+                    group.chunked::<u16>(name, &shape, &chunk, compression)
+                }
+                DepthEncoding::Metres => group.chunked::<f32>(name, &shape, &chunk, compression),
             }?;
-            group.dataset_attr_str(&depth, "depth_unit", encoding.unit())?;
-            group.dataset_attr(&depth, "depth_scale", encoding.scale())?;
+            group.dataset_attr_str(&depth, "depth_unit", storage.depth.unit())?;
+            group.dataset_attr(&depth, "depth_scale", storage.depth.scale())?;
             Ok(depth)
         }
         Modality::Segmentation | Modality::Instance | Modality::Semantic => {
-            group.chunked::<u16>(&name, &shape, &chunk)
+            group.chunked::<u16>(name, &shape, &chunk, compression)
         }
         Modality::Normals | Modality::Xyz | Modality::Flow | Modality::SceneFlow => {
-            let values = group.chunked::<f32>(&name, &shape, &chunk)?;
+            let values = group.chunked::<f32>(name, &shape, &chunk, compression)?;
             let (unit, frame) = match modality {
                 Modality::Normals => ("1", "world"),
                 Modality::Flow => ("pixels to the next image", "image"),
@@ -490,12 +583,13 @@ fn create_cloud(
     obs: &GroupWriter,
     key: &str,
     info: &EpisodeInfo,
-    points: usize,
+    storage: &StorageConfig,
 ) -> Result<Dataset> {
-    let layout = &info.cloud;
+    let (layout, points) = (&info.cloud, info.cloud_points);
     let columns = if layout.color { 6 } else { 3 };
     let shape = [info.frames as usize, points, columns];
-    let cloud = group.chunked::<f32>("point_cloud", &shape, &[1, points, columns])?;
+    let (chunk, compression) = ([1, points, columns], storage.compression());
+    let cloud = group.chunked::<f32>("point_cloud", &shape, &chunk, compression)?;
     let names = if layout.color { "x y z r g b" } else { "x y z" };
     group.dataset_attr_str(&cloud, "columns", names)?;
     group.dataset_attr_str(&cloud, "frame", &layout.frame)?;
@@ -506,7 +600,8 @@ fn create_cloud(
 }
 
 fn write_attributes(group: &GroupWriter, info: &EpisodeInfo) -> Result<()> {
-    group.attr("num_samples", u64::from(info.frames))?;
+    // Signed: robomimic subtracts from it.
+    group.attr("num_samples", i64::from(info.frames))?;
     group.attr("success", info.success)?;
     group.attr("seed", info.seed)?;
     group.attr("traj_index", info.traj_index)?;
@@ -528,6 +623,8 @@ fn write_attributes(group: &GroupWriter, info: &EpisodeInfo) -> Result<()> {
     group.attr("finger_joints", info.finger_joints as u64)?;
     let cameras: Vec<&str> = info.rig.cameras.iter().map(|c| c.name.as_str()).collect();
     group.attr_strings("cameras", &cameras)?;
+    let modalities: Vec<&str> = info.modalities.iter().map(|m| m.name()).collect();
+    group.attr_strings("modalities", &modalities)?;
     group.attr_str("task_toml", &info.task_toml)?;
     group.attr_str("rig_toml", &info.rig_toml())?;
     group.attr_str("provenance", &info.provenance.to_string())
