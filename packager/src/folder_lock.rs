@@ -8,7 +8,7 @@ use crate::error::{PackError, Result};
 /// A lock on a folder, held until it is dropped or the process ends, however it ends.
 #[derive(Debug)]
 pub struct FolderLock {
-    _folder: Option<File>,
+    folder: Option<File>,
 }
 
 impl FolderLock {
@@ -34,18 +34,27 @@ impl FolderLock {
     ) -> Result<Self> {
         // Elsewhere folders cannot be opened, and a lock file would become part of the dataset.
         if !cfg!(unix) {
-            return Ok(Self { _folder: None });
+            return Ok(Self { folder: None });
         }
         let file = File::open(folder).map_err(|e| PackError::create(folder, e))?;
         match lock(&file) {
-            Ok(()) => Ok(Self { _folder: Some(file) }),
+            Ok(()) => Ok(Self { folder: Some(file) }),
             Err(std::fs::TryLockError::WouldBlock) => {
                 let message = "another process is writing into this folder";
                 let source = std::io::Error::new(std::io::ErrorKind::ResourceBusy, message);
                 Err(PackError::Unwritable { path: folder.to_path_buf(), source })
             }
             // A file system without locks is no reason not to write.
-            Err(std::fs::TryLockError::Error(_)) => Ok(Self { _folder: None }),
+            Err(std::fs::TryLockError::Error(_)) => Ok(Self { folder: None }),
+        }
+    }
+}
+
+impl Drop for FolderLock {
+    fn drop(&mut self) {
+        // Closing is not enough: a process that is being started holds a copy of the descriptor for a moment.
+        if let Some(folder) = &self.folder {
+            let _ = folder.unlock();
         }
     }
 }

@@ -138,23 +138,25 @@ fn symbolic_links_are_not_followed() {
     assert!(moved.is_file());
 }
 
-/// An HDF5 file whose dataset claims far more than the file holds.
-#[test]
-fn claimed_sizes_do_not_become_memory() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("bomb.hdf5");
-    let file = hdf5::File::create(&path).unwrap();
+/// An HDF5 file whose datasets claim far more than the file holds.
+fn write_bomb(path: &Path) {
+    let file = hdf5::File::create(path).unwrap();
     file.new_attr::<hdf5::types::VarLenUnicode>().create("format").unwrap();
     let text: hdf5::types::VarLenUnicode = "akrobat.shard".parse().unwrap();
     file.attr("format").unwrap().write_scalar(&text).unwrap();
     file.new_attr::<u32>().create("format_version").unwrap().write_scalar(&1u32).unwrap();
     let episode = file.create_group("data").unwrap().create_group("demo_0").unwrap();
-    let rows = 1usize << 40;
-    let claims = episode.new_dataset::<f32>().chunk((1, 1024)).deflate(4).shape((rows, 1024));
-    claims.create("claims").unwrap();
-    let wide = episode.new_dataset::<f32>().chunk((1, 1 << 29)).deflate(4).shape((4, 1 << 29));
-    wide.create("wide").unwrap();
-    file.close().unwrap();
+    for (name, rows, columns) in [("claims", 1 << 40, 1024), ("wide", 4, 1 << 29)] {
+        let claims = episode.new_dataset::<f32>().chunk((1, columns)).deflate(4);
+        claims.shape((rows, columns)).create(name).unwrap();
+    }
+}
+
+#[test]
+fn claimed_sizes_do_not_become_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bomb.hdf5");
+    write_bomb(&path);
     let episode = EpisodeReader::open(&path, "demo_0").unwrap();
     for name in ["claims", "wide"] {
         let error = episode.array(name).unwrap_err();

@@ -50,7 +50,7 @@ enum Command {
     Bench(bench::BenchArgs),
     Demo(demo::DemoArgs),
     Plan(plan::PlanArgs),
-    Render(render::RenderArgs),
+    Render(Box<render::RenderArgs>),
     Replay(replay::ReplayArgs),
     Eval(eval::EvalArgs),
     Export(export::ExportArgs),

@@ -318,20 +318,24 @@ mod tests {
     #[test]
     fn the_dead_are_replaced_and_bad_parts_given_up() {
         let folder = tempfile::tempdir().unwrap();
-        let place = folder.path().join("worker");
-        let place = place.as_path();
-        std::fs::create_dir(place).unwrap();
+        let worker = |name: String| {
+            let place = folder.path().join(name);
+            std::fs::create_dir(&place).unwrap();
+            let lock = FolderLock::exclusive(&place).unwrap();
+            (place, lock)
+        };
         let mut ledger = ledger(folder.path(), 1);
         for attempt in 1..=MAX_ATTEMPTS {
-            let lock = FolderLock::exclusive(place).unwrap();
-            assert_eq!(ledger.claim(place).unwrap(), Claim::Make { part: 0, attempt });
-            assert_eq!(ledger.claim(place).unwrap(), Claim::Wait, "it is being worked on");
+            let (place, lock) = worker(format!("worker{attempt}"));
+            assert_eq!(ledger.claim(&place).unwrap(), Claim::Make { part: 0, attempt });
+            assert_eq!(ledger.claim(&place).unwrap(), Claim::Wait, "it is being worked on");
             // The worker dies.
             drop(lock);
         }
+        let (place, _lock) = worker("last".into());
+        let place = place.as_path();
         assert_eq!(ledger.claim(place).unwrap(), Claim::Finished);
         assert_eq!(ledger.failures().unwrap()[0].0, 0);
-        let _lock = FolderLock::exclusive(place).unwrap();
         ledger.retry_failed().unwrap();
         assert_eq!(ledger.claim(place).unwrap(), Claim::Make { part: 0, attempt: 1 });
         ledger.release(0, 1).unwrap();

@@ -220,7 +220,13 @@ impl EpisodeReader {
     /// # Errors
     /// [`PackError::Content`] where the attribute is absent.
     pub fn frames(&self) -> Result<u64> {
-        self.number("num_samples")
+        // Shards of earlier versions have it without a sign.
+        let signed = self.number::<i64>("num_samples");
+        let frames = signed.or_else(|_| self.number::<u64>("num_samples").map(u64::cast_signed))?;
+        u64::try_from(frames).map_err(|_| {
+            let expected = "a number of frames";
+            PackError::content(self.path(), "num_samples", expected, frames.to_string())
+        })
     }
 
     /// Length of every axis of an array.

@@ -25,7 +25,10 @@ impl H5Reader {
         if !metadata.is_file() {
             return Err(PackError::damaged(path, "expected an HDF5 file, got a folder or device"));
         }
-        let file = File::open(path).map_err(|e| {
+        // Whole files are never written to. A lock would fail where the file system knows none, and where a
+        // process that was started while the file was written still holds the writer's.
+        let mut options = File::with_options();
+        let file = options.with_fapl(|fapl| fapl.file_locking(false)).open(path).map_err(|e| {
             PackError::damaged(path, format!("not a whole HDF5 file: {}", super::message(&e)))
         })?;
         Ok(Self { file, path: path.to_path_buf(), file_bytes: metadata.len() })

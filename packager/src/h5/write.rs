@@ -32,6 +32,8 @@ impl H5Writer {
                 // Format 1.10 is the oldest whose metadata is checksummed throughout.
                 fapl.libver_bounds(LibraryVersion::V110, LibraryVersion::V110)
                     .fclose_degree(FileCloseDegree::Strong)
+                    // Nobody else knows the file's temporary name.
+                    .file_locking(false)
             })
             .with_fcpl(|fcpl| fcpl.obj_track_times(false))
             .create(partial.path())
