@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 # The HDF5 library's build needs a CMake that not every distribution has: it finds the one in .venv.
 export PATH := $(VENV)/bin:$(PATH)
 
-.PHONY: build demo test test-readers lint format schema clean
+.PHONY: build demo test test-faults test-readers lint format schema clean
 
 # Installs the command and the Python package into .venv.
 build: $(VENV)/.tools
@@ -35,6 +35,12 @@ test: build
 	environment="$$(scripts/vulkan.sh)" && eval "$$environment" && \
 	    cargo test --release $(CARGO_TEST_FLAGS) && \
 	    AKROBAT_SAMPLE_DATASET=$(CURDIR)/target/release/examples/sample_dataset pytest $(PYTEST_FLAGS)
+
+# A hundred runs killed at random instants, full and read-only disks, killed Ray workers: every dataset is the one that
+# an undisturbed run writes. Some 4 minutes.
+test-faults: build
+	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[ray,test]"
+	pytest -m slow tests/python/test_faults.py
 
 # Reads exports of 20 real episodes with LeRobot, robomimic, PyTorch and zarr themselves, and trains two policies a
 # little: 5 GB of packages and some 20 minutes, so not part of `make test`. LeRobot needs Python 3.12.

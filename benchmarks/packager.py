@@ -9,7 +9,10 @@ one of them repeatedly with
 - h5py with the same filters, chunks and checksums,
 - h5py as robomimic's converters write: a compressed array for each observation, default chunks,
 - LeRobot's own writer where `--lerobot PYTHON` names an interpreter that has it (its video is
-  lossy: the size is not comparable).
+  lossy, and of colours alone: the size is not comparable).
+
+Then frames are read back, at random and in order, by a map-style loader through h5py, and by
+LeRobot's dataset in PyTorch's DataLoader.
 
 CPU time is user + system of the writing process; reading the source is subtracted. "raw" is RGB u8
 and depth u16 alone, as the target counts it; segmentation and cloud are written by all and are in
@@ -147,8 +150,28 @@ for index in range(len(arrays[names[0]])):
 dataset.save_episode()
 after = resource.getrusage(resource.RUSAGE_SELF)
 cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+wall = time.perf_counter() - wall
+dataset.finalize()
 size = sum(p.stat().st_size for p in output.rglob("*") if p.is_file())
-print(json.dumps({"cpu_s": cpu, "wall_s": time.perf_counter() - wall, "bytes": size}))
+report = {"cpu_s": cpu, "wall_s": wall, "bytes": size}
+
+import torch
+
+def frames_a_second(indices):
+    loader = torch.utils.data.DataLoader(dataset, batch_size=16, sampler=indices)
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    for batch in loader:
+        pass
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    return len(indices) / (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+
+torch.set_num_threads(1)
+dataset = LeRobotDataset("bench/bench", root=output)
+order = [int(i) for i in np.random.default_rng(0).integers(0, len(dataset), 64)]
+frames_a_second(order[:8])
+report["random_fps"] = frames_a_second(order)
+report["sequential_fps"] = frames_a_second(list(range(len(dataset))))
+print(json.dumps(report))
 """
 
 
@@ -159,28 +182,44 @@ def lerobot(python: str, arrays: Arrays, folder: Path) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def reading(shard: Path, key: str, frames: int, peer: Path) -> dict[str, Any]:
-    """Frames of one camera's colours a CPU second: single ones at random, and all in order."""
-    order = np.random.default_rng(0).integers(0, frames, 200)
+class Layout:
+    """A map-style dataset, as PyTorch takes it, over the frames of one episode in an HDF5 file."""
+
+    def __init__(self, file: h5py.File, group: str, endings: tuple[str, ...]) -> None:
+        self._arrays = {n: file[group][n] for n in file[group] if n.endswith(endings)}
+
+    def __len__(self) -> int:
+        return len(next(iter(self._arrays.values())))
+
+    def __getitem__(self, index: int) -> Arrays:
+        return {name: array[index] for name, array in self._arrays.items()}
+
+
+def frames_a_second(dataset: Layout, indices: list[int]) -> float:
+    """Frames a CPU second, in batches of 16 that are stacked as a loader does."""
+    before = cpu_seconds()
+    for first in range(0, len(indices), 16):
+        batch = [dataset[index] for index in indices[first : first + 16]]
+        for name in batch[0]:
+            np.stack([sample[name] for sample in batch])
+    return len(indices) / (cpu_seconds() - before)
+
+
+def reading(shard: Path, key: str, frames: int, peers: dict[str, Path]) -> dict[str, Any]:
+    """Frames a CPU second, one at a time at random and all in order: colours of all cameras, and
+    colours and depth."""
+    order = [int(i) for i in np.random.default_rng(0).integers(0, frames, 64)]
+    places = {"akrobat": (shard, f"data/{key}/camera_obs")}
+    places |= {name: (path, "data/demo_0/obs/camera_obs") for name, path in peers.items()}
     result = {}
-    for name, path, group in [
-        ("ours", shard, f"data/{key}/camera_obs"),
-        ("robomimic", peer, "data/demo_0/obs/camera_obs"),
-    ]:
-        with h5py.File(path) as file:
-            colors = next(file[group][n] for n in file[group] if n.endswith("_rgb"))
-            before = cpu_seconds()
-            for index in order:
-                colors[index]
-            random_s = cpu_seconds() - before
-            before = cpu_seconds()
-            for index in range(frames):
-                colors[index]
-            sequential_s = cpu_seconds() - before
-        result[name] = {
-            "random_fps": len(order) / random_s,
-            "sequential_fps": frames / sequential_s,
-        }
+    for name, (path, group) in places.items():
+        for what, endings in [("RGB", ("_rgb",)), ("RGB and depth", ("_rgb", "_depth"))]:
+            with h5py.File(path) as file:
+                dataset = Layout(file, group, endings)
+                result[f"{name}, {what}"] = {
+                    "random_fps": frames_a_second(dataset, order),
+                    "sequential_fps": frames_a_second(dataset, list(range(frames))),
+                }
     return result
 
 
@@ -220,7 +259,8 @@ def main() -> int:
         large = ours(source, folder, "gzip", 8, copies=arguments.large, per_shard=10**6)
         rgb_depth = {n: a for n, a in arrays.items() if n.endswith(("_rgb", "_depth"))}
         h5py_same_filters(rgb_depth, folder / "ratio.h5")
-        shard = next((source / "shards").glob("*.hdf5"))
+        shard = min((source / "shards").glob("*.hdf5"))
+        peers = {"as robomimic": folder / "robomimic_0.h5"}
         report = {
             "frames": arguments.frames,
             "raw_mb": raw / 1e6,
@@ -228,8 +268,11 @@ def main() -> int:
             "writing": rows,
             "peak_mb_of_one_large_shard": large["peak_mb"],
             "large_shard_episodes": arguments.large + 1,
-            "reading": reading(shard, "demo_0", arguments.frames, folder / "robomimic_0.h5"),
+            "reading": reading(shard, "demo_0", arguments.frames, peers),
         }
+        for name in [name for name in rows if "random_fps" in rows[name]]:
+            speeds = {key: rows[name].pop(key) for key in ("random_fps", "sequential_fps")}
+            report["reading"]["LeRobot, RGB"] = speeds
     if arguments.json:
         print(json.dumps(report, indent=1))
         return 0
@@ -248,7 +291,7 @@ def main() -> int:
     print(f"peak memory of one shard of {episodes} episodes: {large['peak_mb']:.0f} MB")
     for name, speeds in report["reading"].items():
         fps = f"{speeds['random_fps']:6.0f} random, {speeds['sequential_fps']:6.0f} sequential"
-        print(f"reading {name:12} {fps} frames/s of CPU")
+        print(f"reading {name:28} {fps} frames/s of CPU")
     return 0
 
 
