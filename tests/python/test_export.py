@@ -638,14 +638,21 @@ def test_outputs_that_stand_already_are_left_alone(summit, tmp_path):
     assert (tmp_path / "mine").read_text() == "precious"
 
 
-@pytest.mark.parametrize("shard", ["../secret.hdf5", "/etc/passwd", "shards/link.hdf5"])
+ELSEWHERE = {
+    "../secret.hdf5": "not a file in shards/",
+    "/etc/passwd": "not a file in shards/",
+    "shards/link.hdf5": "got a link to",
+}
+
+
+@pytest.mark.parametrize("shard", ELSEWHERE)
 def test_datasets_that_name_files_elsewhere_are_refused(summit, tmp_path, shard):
     folder = copy_of(summit.folder, tmp_path / "dataset")
     (folder / "shards" / "link.hdf5").symlink_to(tmp_path / "secret.hdf5")
     (tmp_path / "secret.hdf5").write_bytes(b"")
     change_manifest(folder, shard=shard)
     message = refused("export", folder, "--to", "act", "-o", tmp_path / "out")
-    assert "below the dataset's folder" in message
+    assert ELSEWHERE[shard] in message
     assert not (tmp_path / "out").exists()
 
 
