@@ -55,6 +55,21 @@ impl SrgbTables {
         // A step is narrower than any level, so that one comparison is enough.
         level + u8::from(linear >= self.lower_edge[usize::from(level) + 1])
     }
+
+    /// [`Self::encode`] of several values.
+    #[inline(always)]
+    pub fn encode_lanes<const N: usize>(&self, linear: &[f32; N]) -> [u8; N] {
+        let mut steps = [0i32; N];
+        for (step, &value) in steps.iter_mut().zip(linear) {
+            let value = if value > 0.0 { value } else { 0.0 };
+            let value = if value < 1.0 { value } else { 1.0 };
+            *step = (value * COARSE as f32) as i32;
+        }
+        std::array::from_fn(|i| {
+            let level = self.level_of_step[(steps[i] as usize).min(COARSE)];
+            level + u8::from(linear[i] >= self.lower_edge[usize::from(level) + 1])
+        })
+    }
 }
 
 #[cfg(test)]
@@ -74,10 +89,13 @@ mod tests {
             } else {
                 1.055 * linear.powf(1.0 / 2.4) - 0.055
             };
-            let found = f64::from(tables.encode(linear as f32));
+            let found = tables.encode(linear as f32);
+            assert_eq!(tables.encode_lanes(&[linear as f32; 8]), [found; 8]);
+            let found = f64::from(found);
             assert!((found - encoded * 255.0).abs() < 0.501, "{linear}: {found} {encoded}");
         }
         assert_eq!(tables.encode(f32::NAN), 0);
         assert_eq!((tables.encode(-1.0), tables.encode(7.0)), (0, 255));
+        assert_eq!(tables.encode_lanes(&[f32::NAN, -1.0, 7.0]), [0, 0, 255]);
     }
 }

@@ -145,3 +145,48 @@ fn bodies_of_the_scene_cast_no_shadow_where_only_moving_ones_do() {
     let [none, moving, all] = ["none", "moving", "all"].map(|shadow| dark(&sun(shadow), 1));
     assert!(none + 200 < moving && moving + 2000 < all, "{none} {moving} {all}");
 }
+
+/// What a backend that has drawn the frames before gives is what a new one gives, to the byte.
+#[test]
+fn what_is_kept_from_frame_to_frame_does_not_show() {
+    let (scene, frame) = still_life();
+    let moved = |frame: &FrameState, body: usize| {
+        let mut frame = frame.clone();
+        frame.world_from_body[body] = at(0.1, -0.05, 0.0) * frame.world_from_body[body];
+        frame
+    };
+    // The camera rests over the first three frames, in which bodies 2 to 4 move; then the wall moves, and then the camera.
+    let mut frames = vec![frame.clone(), moved(&frame, 2), moved(&moved(&frame, 3), 4)];
+    frames.extend([moved(&frame, 1), moved(&frame, 1), moved(&frame, 1), frame.clone()]);
+    let mut cameras = vec![view(); frames.len()];
+    cameras[5].world_from_camera *= at(0.02, 0.0, 0.0);
+    cameras[6].normals = false;
+    for lighting in ["even", "sun"] {
+        let scene = scene.lit_by(&Lighting::preset(lighting).unwrap());
+        let mut kept = SoftBackend::new();
+        let mut different = 0;
+        let mut last: Option<CameraFrame> = None;
+        for (frame, camera) in frames.iter().zip(&cameras) {
+            let camera = std::slice::from_ref(camera);
+            let image = kept.render(&scene, frame, camera).unwrap().remove(0);
+            let anew = SoftBackend::new().render(&scene, frame, camera).unwrap().remove(0);
+            assert_eq!(image.rgb, anew.rgb, "{lighting}");
+            assert_eq!(image.depth_m, anew.depth_m, "{lighting}");
+            assert_eq!(image.segmentation, anew.segmentation, "{lighting}");
+            assert_eq!(image.normals, anew.normals, "{lighting}");
+            different += usize::from(last.is_some_and(|last| last.rgb != image.rgb));
+            last = Some(image);
+        }
+        // All but the fifth differ from the one before.
+        assert_eq!(different, frames.len() - 2, "{lighting}");
+    }
+    // Another light on the same scene, seen from the same place.
+    let mut kept = SoftBackend::new();
+    let camera = [view()];
+    for lighting in ["even", "even", "even", "evening"] {
+        let scene = scene.lit_by(&Lighting::preset(lighting).unwrap());
+        let image = kept.render(&scene, &frame, &camera).unwrap().remove(0);
+        let anew = SoftBackend::new().render(&scene, &frame, &camera).unwrap().remove(0);
+        assert_eq!(image.rgb, anew.rgb, "{lighting}");
+    }
+}

@@ -199,10 +199,11 @@ fn images_do_not_depend_on_the_number_of_threads_or_on_earlier_frames() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| backend.render(&scene, &frame, &cameras).unwrap())
     };
-    let (one, two) = (images_with(1), images_with(2));
-    for ((one, two), camera) in one.iter().zip(&two).zip(&cameras) {
+    // With more threads, images are divided into more bands.
+    let (one, two, seven) = (images_with(1), images_with(2), images_with(7));
+    for (((one, two), seven), camera) in one.iter().zip(&two).zip(&seven).zip(&cameras) {
         let alone = render(&scene, &frame, camera);
-        for other in [two, &alone] {
+        for other in [two, seven, &alone] {
             assert_eq!(one.rgb, other.rgb);
             assert_eq!(one.depth_m, other.depth_m);
             assert_eq!(one.segmentation, other.segmentation);

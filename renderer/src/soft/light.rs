@@ -4,49 +4,62 @@ use akrobat_model::Pose;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use super::drawing::Drawing;
+use super::shade::{LANES, Lanes};
 use super::view::{Transform, View};
-use super::visibility::Visibility;
 use crate::clusters::ClusteredScene;
 use crate::lighting::{Reflection, Source, WorldLight};
 use crate::shadow::{self, BIAS_M, NORMAL_OFFSET_TEXELS};
-use crate::{FrameState, Lighting, RenderScene};
+use crate::{FrameState, Lighting, PlacedCamera, RenderScene};
 
 /// A scene's lights with their shadow maps, for all cameras of a frame.
-pub(super) struct SceneLights {
-    lights: Vec<(WorldLight, Vec<ShadowMap>)>,
+pub(super) struct SceneLights<'a> {
+    lights: Vec<(WorldLight, Vec<ShadowMap<'a>>)>,
 }
 
-impl SceneLights {
-    pub fn new(scene: &RenderScene, clusters: &ClusteredScene, frame: &FrameState) -> Self {
+impl<'a> SceneLights<'a> {
+    /// Draws the shadow maps. `drawings` are their buffers, in which what stays where it was is found again.
+    pub fn new(
+        scene: &RenderScene,
+        clusters: &ClusteredScene,
+        frame: &FrameState,
+        drawings: &'a mut Vec<Drawing>,
+    ) -> Self {
         let lights = WorldLight::all(&scene.lighting);
         let maps = shadow::light_maps(scene, frame, &lights);
-        let draw = |(light, maps): (WorldLight, Option<shadow::LightMaps>)| {
-            let maps = maps.map_or(Vec::new(), |maps| {
-                let draw = |camera| {
-                    let view = View::new(camera, &frame.world_from_body, |body| maps.casters[body]);
-                    let mut visibility = Visibility::default();
-                    visibility.find(&view, clusters);
-                    ShadowMap {
-                        size: view.width,
-                        stride: view.stride,
-                        inverse_depth: visibility.inverse_depth,
-                        focal: view.focal[0] as f32,
-                        world_from_light: camera.world_from_camera,
-                    }
-                };
-                maps.cameras.par_iter().map(draw).collect()
-            });
-            (light, maps)
+        let count = maps.iter().flatten().map(|maps| maps.cameras.len()).sum();
+        drawings.resize_with(count, Drawing::default);
+        let all =
+            maps.iter().flatten().flat_map(|maps| maps.cameras.iter().map(|c| (c, &maps.casters)));
+        let all: Vec<_> = all.zip(drawings).collect();
+        let draw =
+            |((camera, casters), drawing): ((&PlacedCamera, &Vec<bool>), &'a mut Drawing)| {
+                let rows = 0..camera.intrinsics.height as usize;
+                let view = View::new(camera, &frame.world_from_body, rows);
+                drawing.draw(&view, camera, scene, clusters, frame, casters);
+                ShadowMap {
+                    size: view.width,
+                    stride: view.stride,
+                    inverse_depth: &drawing.visibility().inverse_depth,
+                    focal: view.focal[0] as f32,
+                    world_from_light: camera.world_from_camera,
+                }
+            };
+        let drawn: Vec<_> = all.into_par_iter().with_max_len(1).map(draw).collect();
+        let mut drawn = drawn.into_iter();
+        let of_light = |(light, maps): (WorldLight, Option<shadow::LightMaps>)| {
+            let count = maps.map_or(0, |maps| maps.cameras.len());
+            (light, drawn.by_ref().take(count).collect())
         };
-        Self { lights: lights.into_iter().zip(maps).map(draw).collect() }
+        Self { lights: lights.into_iter().zip(maps).map(of_light).collect() }
     }
 }
 
 /// What a light sees.
-struct ShadowMap {
+struct ShadowMap<'a> {
     size: usize,
     stride: usize,
-    inverse_depth: Vec<f32>,
+    inverse_depth: &'a [f32],
     /// Pixels.
     focal: f32,
     world_from_light: Pose,
@@ -66,7 +79,7 @@ pub(super) struct CameraLights<'a> {
 struct CameraLight<'a> {
     source: CameraSource,
     rgb: [f32; 3],
-    maps: Vec<(&'a ShadowMap, Transform)>,
+    maps: Vec<(&'a ShadowMap<'a>, Transform)>,
 }
 
 enum CameraSource {
@@ -86,13 +99,13 @@ pub(super) struct Reflector {
 }
 
 impl<'a> CameraLights<'a> {
-    pub fn new(lighting: &Lighting, lights: &'a SceneLights, world_from_camera: &Pose) -> Self {
+    pub fn new(lighting: &Lighting, lights: &'a SceneLights<'a>, world_from_camera: &Pose) -> Self {
         let camera_from_world = world_from_camera.inverse();
         let rotate = |v: nalgebra::Vector3<f64>| -> [f32; 3] {
             (camera_from_world.rotation * v).cast::<f32>().into()
         };
         let place = |p: Point3<f64>| -> [f32; 3] { (camera_from_world * p).cast::<f32>().into() };
-        let to_camera = |(light, maps): &'a (WorldLight, Vec<ShadowMap>)| CameraLight {
+        let to_camera = |(light, maps): &'a (WorldLight, Vec<ShadowMap<'a>>)| CameraLight {
             source: match light.source {
                 Source::Directional(to_light) => CameraSource::Directional(rotate(to_light)),
                 Source::Point(position) => CameraSource::Point(place(position)),
@@ -137,15 +150,28 @@ impl<'a> CameraLights<'a> {
         std::array::from_fn(|i| self.middle_rgb[i] + self.half_difference_rgb[i] * upward)
     }
 
-    /// Light on a surface with unit normal `n`, where it depends on nothing else.
+    /// Light on surfaces with unit normals `n`, where it depends on nothing else.
     #[inline(always)]
-    pub fn on(&self, n: [f32; 3], directions: &[([f32; 3], [f32; 3])]) -> [f32; 3] {
-        let mut light = self.ambient(dot(n, self.up));
+    pub fn on_lanes(&self, n: [Lanes; 3], directions: &[([f32; 3], [f32; 3])]) -> [Lanes; 3] {
+        let along = |to: [f32; 3], i: usize| n[0][i] * to[0] + n[1][i] * to[1] + n[2][i] * to[2];
+        let mut light = [[0.0; LANES]; 3];
+        for i in 0..LANES {
+            let ambient = self.ambient(along(self.up, i));
+            (0..3).for_each(|channel| light[channel][i] = ambient[channel]);
+        }
         for (to_light, rgb) in directions {
-            let facing = dot(n, *to_light).max(0.0);
-            (0..3).for_each(|i| light[i] += rgb[i] * facing);
+            for i in 0..LANES {
+                let facing = along(*to_light, i);
+                let facing = if facing > 0.0 { facing } else { 0.0 };
+                (0..3).for_each(|channel| light[channel][i] += rgb[channel] * facing);
+            }
         }
         light
+    }
+
+    /// Whether light depends on what is elsewhere.
+    pub fn has_shadows(&self) -> bool {
+        self.lights.iter().any(|light| !light.maps.is_empty())
     }
 
     /// Linear RGB that a point `p` with unit normal `n`, which faces the eye, sends there.
@@ -223,7 +249,7 @@ impl CameraLight<'_> {
     }
 }
 
-impl ShadowMap {
+impl ShadowMap<'_> {
     /// Share of the four texels around a point of the light's frame that do not hide it, weighted bilinearly (Reeves,
     /// Salesin and Cook, *Rendering Antialiased Shadows with Depth Maps*, SIGGRAPH 1987).
     #[inline(always)]

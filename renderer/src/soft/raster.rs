@@ -18,25 +18,45 @@ pub(super) struct InverseDepth {
 /// Where triangles are drawn: inverse depth and triangle id per pixel.
 pub(super) struct Target<'a> {
     pub width: i32,
-    pub height: i32,
+    /// Rows of the image that are drawn: the first, and the one after the last. The buffers begin with the first.
+    pub rows: [i32; 2],
     pub stride: usize,
     /// These two are longer than all rows by [`LANES`].
     pub inverse_depth: &'a mut [f32],
     pub triangle: &'a mut [u32],
 }
 
-/// Pixels `[x0, y0, x1, y1]` (inclusive) whose centres lie in the triangle's bounding box.
+impl Target<'_> {
+    /// Where a row starts in the buffers.
+    #[inline(always)]
+    fn row(&self, y: i32) -> usize {
+        (y - self.rows[0]) as usize * self.stride
+    }
+
+    /// Pixels `[x0, y0, x1, y1]` (inclusive) whose centres lie in the triangle's bounding box.
+    #[inline(always)]
+    pub fn pixel_box(&self, corners: &GridTriangle) -> Option<[i32; 4]> {
+        let range = |axis: usize, [from, end]: [i32; 2]| {
+            let [a, b, c] = [corners[0][axis], corners[1][axis], corners[2][axis]];
+            let (first, last) = (first_pixel(a.min(b).min(c)), last_pixel(a.max(b).max(c)));
+            (first.max(from), last.min(end - 1))
+        };
+        let (x0, x1) = range(0, [0, self.width]);
+        let (y0, y1) = range(1, self.rows);
+        (x0 <= x1 && y0 <= y1).then_some([x0, y0, x1, y1])
+    }
+}
+
+/// The first pixel whose centre is not before a place on the grid.
 #[inline(always)]
-pub(super) fn pixel_box(corners: &GridTriangle, width: i32, height: i32) -> Option<[i32; 4]> {
-    let range = |axis: usize, pixels: i32| {
-        let [a, b, c] = [corners[0][axis], corners[1][axis], corners[2][axis]];
-        let first = (a.min(b).min(c) + SUBPIXELS / 2 - 1) >> SUBPIXELS.ilog2();
-        let last = (a.max(b).max(c) - SUBPIXELS / 2) >> SUBPIXELS.ilog2();
-        (first.max(0), last.min(pixels - 1))
-    };
-    let (x0, x1) = range(0, width);
-    let (y0, y1) = range(1, height);
-    (x0 <= x1 && y0 <= y1).then_some([x0, y0, x1, y1])
+pub(super) fn first_pixel(place: i32) -> i32 {
+    (place + SUBPIXELS / 2 - 1) >> SUBPIXELS.ilog2()
+}
+
+/// The last pixel whose centre is not behind a place on the grid.
+#[inline(always)]
+pub(super) fn last_pixel(place: i32) -> i32 {
+    (place - SUBPIXELS / 2) >> SUBPIXELS.ilog2()
 }
 
 /// `step_x u + step_y v + at_origin >= 0` at the pixels on the inner side of an edge.
@@ -105,25 +125,30 @@ impl Edge {
 pub(super) const LANES: usize = 8;
 
 /// Triangles that span at most this much of the grid along either axis are tested in blocks of [`LANES`] pixels: their edge
-/// functions stay below 2^29 wherever the pixel box reaches.
-const SMALL: i32 = 32 * SUBPIXELS;
+/// functions stay below 2^30 wherever the pixel box reaches.
+pub(super) const SMALL: [i32; 2] = [32 * SUBPIXELS, 80 * SUBPIXELS];
 
-/// Draws `corners` with `id` at the pixels in `bounds` where it is nearer than what is there. `depth` is
-/// asked for only if the triangle is not degenerate.
+/// Draws `corners` with `id` at the pixels in `bounds` where it is nearer than what is there. `largest` is the largest inverse
+/// depth of its corners, and `depth` is asked for only if something may be drawn.
 #[inline(always)]
 pub(super) fn draw(
     target: &mut Target<'_>,
     corners: &GridTriangle,
     bounds: [i32; 4],
     id: u32,
+    largest: f32,
     depth: impl FnOnce() -> Option<InverseDepth>,
 ) {
-    let [p, mut q, mut r] = *corners;
-    let cross = |q: [i32; 2], r: [i32; 2]| {
-        i64::from(q[0] - p[0]) * i64::from(r[1] - p[1])
-            - i64::from(q[1] - p[1]) * i64::from(r[0] - p[0])
+    let span = |axis: usize| {
+        let [a, b, c] = corners.map(|corner| corner[axis]);
+        a.max(b).max(c) - a.min(b).min(c)
     };
-    let area = cross(q, r);
+    if span(0) <= SMALL[0] && span(1) <= SMALL[1] {
+        return draw_small(target, corners, bounds, id, largest, depth);
+    }
+    let [p, mut q, mut r] = *corners;
+    let area = i64::from(q[0] - p[0]) * i64::from(r[1] - p[1])
+        - i64::from(q[1] - p[1]) * i64::from(r[0] - p[0]);
     if area == 0 {
         return;
     }
@@ -131,53 +156,127 @@ pub(super) fn draw(
         std::mem::swap(&mut q, &mut r);
     }
     let edges = [Edge::new(p, q), Edge::new(q, r), Edge::new(r, p)];
-    let span = |axis: usize| {
-        let [a, b, c] = corners.map(|corner| corner[axis]);
-        a.max(b).max(c) - a.min(b).min(c)
-    };
-    if span(0) <= SMALL && span(1) <= SMALL {
-        draw_blocks(target, &edges, bounds, id, depth);
-    } else if let Some(depth) = depth() {
+    if let Some(depth) = depth() {
         draw_spans(target, &edges, bounds, id, &depth);
+    }
+}
+
+/// An edge of a small triangle, as [`Edge`], counted from the first pixel of the triangle's pixel box.
+#[derive(Clone, Copy)]
+struct SmallEdge {
+    step_x: i32,
+    step_y: i32,
+    at_first: i32,
+}
+
+impl SmallEdge {
+    #[inline(always)]
+    fn new(p: [i32; 2], q: [i32; 2], first: [i32; 2]) -> Self {
+        let (dx, dy) = (q[0] - p[0], q[1] - p[1]);
+        let owns_points_on_it = dy < 0 || (dy == 0 && dx > 0);
+        let center = first.map(|pixel| pixel * SUBPIXELS + SUBPIXELS / 2);
+        Self {
+            step_x: -dy * SUBPIXELS,
+            step_y: dx * SUBPIXELS,
+            at_first: dx * (center[1] - p[1])
+                - dy * (center[0] - p[0])
+                - i32::from(!owns_points_on_it),
+        }
+    }
+}
+
+/// [`draw`] for triangles within [`SMALL`].
+#[inline(always)]
+pub(super) fn draw_small(
+    target: &mut Target<'_>,
+    corners: &GridTriangle,
+    [x0, y0, x1, y1]: [i32; 4],
+    id: u32,
+    largest: f32,
+    depth: impl FnOnce() -> Option<InverseDepth>,
+) {
+    let [p, mut q, mut r] = *corners;
+    let area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+    if area == 0 {
+        return;
+    }
+    if area < 0 {
+        std::mem::swap(&mut q, &mut r);
+    }
+    let edges = [(p, q), (q, r), (r, p)].map(|(p, q)| SmallEdge::new(p, q, [x0, y0]));
+    if x0 == x1 {
+        draw_column(target, edges, [x0, y0, y1], id, largest, depth);
+    } else {
+        draw_blocks(target, &edges, [x0, y0, x1, y1], id, largest, depth);
+    }
+}
+
+#[inline(always)]
+fn draw_column(
+    target: &mut Target<'_>,
+    edges: [SmallEdge; 3],
+    [x, y0, y1]: [i32; 3],
+    id: u32,
+    largest: f32,
+    depth: impl FnOnce() -> Option<InverseDepth>,
+) {
+    let mut ask = Some(depth);
+    let mut known = None;
+    let mut at = edges.map(|edge| edge.at_first);
+    for y in y0..=y1 {
+        let place = target.row(y) + x as usize;
+        if (at[0] | at[1] | at[2]) >= 0 && target.inverse_depth[place] < largest {
+            if let Some(ask) = ask.take() {
+                known = ask();
+            }
+            let Some(depth) = &known else { return };
+            let value = at_pixel(depth, row_start(depth, y), x);
+            if value > target.inverse_depth[place] {
+                target.inverse_depth[place] = value;
+                target.triangle[place] = id;
+            }
+        }
+        (0..3).for_each(|e| at[e] += edges[e].step_y);
     }
 }
 
 #[inline(always)]
 fn draw_blocks(
     target: &mut Target<'_>,
-    edges: &[Edge; 3],
+    edges: &[SmallEdge; 3],
     [x0, y0, x1, y1]: [i32; 4],
     id: u32,
+    largest: f32,
     depth: impl FnOnce() -> Option<InverseDepth>,
 ) {
     let mut ask = Some(depth);
     let mut known = None;
-    let steps_x = edges.map(|edge| edge.step_x as i32);
     for left in (x0..=x1).step_by(LANES) {
         let lanes = (x1 - left + 1).min(LANES as i32);
         // Lanes beyond the pixel box count as outside.
         let beyond: [i32; LANES] = std::array::from_fn(|i| -i32::from(i as i32 >= lanes));
         let along: [[i32; LANES]; 3] =
-            std::array::from_fn(|e| std::array::from_fn(|i| steps_x[e] * i as i32));
-        let mut start = edges.map(|edge| edge.at(left, y0) as i32);
+            std::array::from_fn(|e| std::array::from_fn(|i| edges[e].step_x * i as i32));
+        let mut start = edges.map(|edge| edge.at_first + edge.step_x * (left - x0));
         for y in y0..=y1 {
+            let place = target.row(y) + left as usize;
+            let inverse_depths = target.inverse_depth[place..].first_chunk_mut::<LANES>();
+            let ids = target.triangle[place..].first_chunk_mut::<LANES>();
+            // A lane beyond the pixel box leaves what it finds there: another row, or the buffers' surplus.
+            let (Some(inverse_depths), Some(ids)) = (inverse_depths, ids) else { return };
             let outside: [i32; LANES] = std::array::from_fn(|i| {
                 (start[0] + along[0][i])
                     | (start[1] + along[1][i])
                     | (start[2] + along[2][i])
                     | beyond[i]
+                    | -i32::from(inverse_depths[i] >= largest)
             });
             if outside.iter().fold(-1, |all, lane| all & lane) >= 0 {
                 if let Some(ask) = ask.take() {
                     known = ask();
                 }
                 let Some(depth) = &known else { return };
-                let place = y as usize * target.stride + left as usize;
                 let row = row_start(depth, y);
-                let inverse_depths = target.inverse_depth[place..].first_chunk_mut::<LANES>();
-                let ids = target.triangle[place..].first_chunk_mut::<LANES>();
-                // A lane beyond the pixel box leaves what it finds there: another row, or the buffers' surplus.
-                let (Some(inverse_depths), Some(ids)) = (inverse_depths, ids) else { return };
                 for i in 0..LANES {
                     let value = at_pixel(depth, row, left + i as i32);
                     let nearer = (value > inverse_depths[i]) & (outside[i] >= 0);
@@ -185,7 +284,7 @@ fn draw_blocks(
                     ids[i] = if nearer { id } else { ids[i] };
                 }
             }
-            (0..3).for_each(|e| start[e] = start[e].wrapping_add(edges[e].step_y as i32));
+            (0..3).for_each(|e| start[e] = start[e].wrapping_add(edges[e].step_y));
         }
     }
 }
@@ -207,7 +306,7 @@ fn draw_spans(
         if from > to {
             continue;
         }
-        let row = y as usize * target.stride;
+        let row = target.row(y);
         let span = row + from as usize..row + to as usize + 1;
         let start = row_start(depth, y);
         let pixels = target.inverse_depth[span.clone()].iter_mut().zip(&mut target.triangle[span]);
@@ -246,14 +345,14 @@ mod tests {
             let mut triangle = vec![0; pixels + LANES];
             let mut target = Target {
                 width,
-                height,
+                rows: [0, height],
                 stride: width as usize,
                 inverse_depth: &mut inverse_depth,
                 triangle: &mut triangle,
             };
             let flat = InverseDepth { a: 0.0, b: 0.0, c: 1.0, smallest: 1.0, largest: 1.0 };
-            if let Some(bounds) = pixel_box(corners, target.width, target.height) {
-                draw(&mut target, corners, bounds, 1, || Some(flat));
+            if let Some(bounds) = target.pixel_box(corners) {
+                draw(&mut target, corners, bounds, 1, 1.0, || Some(flat));
             }
             triangle.iter().zip(&mut count).for_each(|(&id, count)| *count += id);
         }
@@ -309,8 +408,7 @@ mod tests {
         for _ in 0..500 {
             let base: [i32; 2] = std::array::from_fn(|_| random.random_range(-4000..14000));
             let corners: GridTriangle =
-                std::array::from_fn(|_| base.map(|b| b + random.random_range(0..=SMALL)));
-            let Some(bounds) = pixel_box(&corners, 64, 64) else { continue };
+                std::array::from_fn(|_| base.map(|b| b + random.random_range(0..=SMALL[0])));
             let [p, mut q, mut r] = corners;
             let area = i64::from(q[0] - p[0]) * i64::from(r[1] - p[1])
                 - i64::from(q[1] - p[1]) * i64::from(r[0] - p[0]);
@@ -324,13 +422,17 @@ mod tests {
                     (vec![0.0; 4096 + LANES], vec![0; 4096 + LANES]);
                 let mut target = Target {
                     width: 64,
-                    height: 64,
+                    rows: [0, 64],
                     stride: 64,
                     inverse_depth: &mut inverse_depth,
                     triangle: &mut triangle,
                 };
+                let Some(bounds) = target.pixel_box(&corners) else { return Default::default() };
+                if area == 0 {
+                    return Default::default();
+                }
                 if few {
-                    draw_blocks(&mut target, &edges, bounds, 1, || Some(depth));
+                    draw_small(&mut target, &corners, bounds, 1, 2.0, || Some(depth));
                 } else {
                     draw_spans(&mut target, &edges, bounds, 1, &depth);
                 }

@@ -1,5 +1,7 @@
 //! A camera and the bodies before it.
 
+use std::ops::Range;
+
 use akrobat_model::Pose;
 
 use crate::backend::PlacedCamera;
@@ -49,7 +51,8 @@ impl Transform {
 #[derive(Debug)]
 pub(super) struct View {
     pub width: usize,
-    pub height: usize,
+    /// The rows that are drawn; they begin at a tile.
+    pub rows: Range<usize>,
     /// Length of a row in the visibility buffers: the width, padded to whole tiles.
     pub stride: usize,
     pub near: f32,
@@ -59,29 +62,23 @@ pub(super) struct View {
     pub center: [f64; 2],
     /// Camera-frame pose of every body.
     pub camera_from_body: Vec<Transform>,
-    /// Which bodies are drawn.
-    pub shown: Vec<bool>,
-    /// Inward unit normals of the four planes through the eye and the image's edges.
+    /// Inward unit normals of the four planes through the eye and the edges of what is drawn.
     sides: [[f32; 3]; 4],
 }
 
 impl View {
-    /// The view of a camera on the bodies (by place) that `shown` is true for.
-    pub fn new(
-        camera: &PlacedCamera,
-        world_from_body: &[Pose],
-        shown: impl Fn(usize) -> bool,
-    ) -> Self {
+    /// The view of some rows of a camera on bodies.
+    pub fn new(camera: &PlacedCamera, world_from_body: &[Pose], rows: Range<usize>) -> Self {
         let i = &camera.intrinsics;
         let camera_from_world = camera.world_from_camera.inverse();
         let unit = |v: [f64; 3]| {
             let norm = v.iter().map(|c| c * c).sum::<f64>().sqrt();
             v.map(|c| (c / norm) as f32)
         };
-        let (width, height) = (f64::from(i.width), f64::from(i.height));
+        let width = f64::from(i.width);
+        let (top, bottom) = (rows.start as f64, rows.end as f64);
         Self {
             width: i.width as usize,
-            height: i.height as usize,
             stride: (i.width as usize).next_multiple_of(super::occlusion::TILE),
             near: camera.near_m as f32,
             far: camera.far_m as f32,
@@ -91,13 +88,13 @@ impl View {
                 .iter()
                 .map(|world_from_body| Transform::new(&(camera_from_world * world_from_body)))
                 .collect(),
-            shown: (0..world_from_body.len()).map(shown).collect(),
             sides: [
                 unit([i.fx, 0.0, i.cx]),
                 unit([-i.fx, 0.0, width - i.cx]),
-                unit([0.0, i.fy, i.cy]),
-                unit([0.0, -i.fy, height - i.cy]),
+                unit([0.0, i.fy, i.cy - top]),
+                unit([0.0, -i.fy, bottom - i.cy]),
             ],
+            rows,
         }
     }
 
@@ -138,15 +135,15 @@ impl View {
         let (z_near, z_far) = (z - r, z + r);
         let low = |v: f32| v / if v < 0.0 { z_near } else { z_far };
         let high = |v: f32| v / if v > 0.0 { z_near } else { z_far };
-        let range = |v: f32, axis: usize, pixels: usize| {
+        let range = |v: f32, axis: usize, pixels: Range<usize>| {
             let (f, c) = (self.focal[axis] as f32, self.center[axis] as f32);
             // One pixel of slack outlasts rounding and snapping.
-            let from = (low(v - r) * f + c - 1.0).max(0.0);
-            let to = (high(v + r) * f + c + 1.0).min(pixels as f32 - 1.0);
+            let from = (low(v - r) * f + c - 1.0).max(pixels.start as f32);
+            let to = (high(v + r) * f + c + 1.0).min(pixels.end as f32 - 1.0);
             (from <= to).then_some((from as usize, to as usize))
         };
-        let (x0, x1) = range(x, 0, self.width)?;
-        let (y0, y1) = range(y, 1, self.height)?;
+        let (x0, x1) = range(x, 0, 0..self.width)?;
+        let (y0, y1) = range(y, 1, self.rows.clone())?;
         Some([x0, y0, x1, y1])
     }
 }

@@ -2,9 +2,13 @@
 
 use super::clip::{Corner, clip};
 use super::occlusion::TileDepths;
-use super::raster::{GridTriangle, InverseDepth, LANES, Target, draw, pixel_box};
+use super::raster::{
+    GridTriangle, InverseDepth, LANES, SMALL, Target, draw, draw_small, first_pixel, last_pixel,
+};
 use super::view::{GUARD, SUBPIXELS, Transform, View};
-use crate::clusters::{CLUSTER_TRIANGLES, Cluster, ClusteredMesh, ClusteredScene, Sphere};
+use crate::clusters::{
+    CLUSTER_TRIANGLES, Cluster, ClusterTriangle, ClusteredMesh, ClusteredScene, Sphere,
+};
 
 /// A cluster that was drawn: where ids and vertices lead.
 #[derive(Debug, Clone, Copy)]
@@ -32,9 +36,9 @@ impl Candidate {
 }
 
 /// What the visibility pass finds, with its buffers.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Visibility {
-    /// 1 / z per pixel, per metre; rows of [`View::stride`], and a few more.
+    /// 1 / z per pixel, per metre; rows of [`View::stride`], the view's first row first, and a few more.
     pub inverse_depth: Vec<f32>,
     /// 0, or one more than the id of the nearest triangle; see [`Visibility::lookup`].
     pub triangle: Vec<u32>,
@@ -43,15 +47,126 @@ pub(super) struct Visibility {
     pub position: [Vec<f32>; 3],
     candidates: Vec<Candidate>,
     projected: Projected,
+    boxes: PixelBoxes,
     tiles: TileDepths,
 }
 
 /// The vertices of the cluster at hand in the image.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 struct Projected {
     inverse_z: Vec<f32>,
     /// Place on the fixed-point grid; meaningless for vertices that do not pass [`is_safe`].
     grid: Vec<[i32; 2]>,
+}
+
+impl Projected {
+    /// Pixels `[x0, y0, x1, y1]` (inclusive) within the view that the first vertices span, and their largest inverse depth.
+    #[inline(always)]
+    fn extent(&self, count: usize, view: &View) -> (Option<[usize; 4]>, f32) {
+        let (mut low, mut high) = ([[i32::MAX; 2]; LANES], [[i32::MIN; 2]; LANES]);
+        let mut nearest = [0.0f32; LANES];
+        // Vertices come in whole lanes.
+        let vertices = self.grid[..count].as_chunks::<LANES>().0;
+        for (places, depths) in vertices.iter().zip(self.inverse_z[..count].as_chunks::<LANES>().0)
+        {
+            for i in 0..LANES {
+                for axis in 0..2 {
+                    low[i][axis] = low[i][axis].min(places[i][axis]);
+                    high[i][axis] = high[i][axis].max(places[i][axis]);
+                }
+                nearest[i] = if depths[i] > nearest[i] { depths[i] } else { nearest[i] };
+            }
+        }
+        let low = low.into_iter().reduce(|a, b| [a[0].min(b[0]), a[1].min(b[1])]).unwrap_or([0; 2]);
+        let high =
+            high.into_iter().reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]).unwrap_or([0; 2]);
+        let pixels = |axis: usize, from: usize, end: usize| {
+            let first = first_pixel(low[axis]).max(from as i32);
+            let last = last_pixel(high[axis]).min(end as i32 - 1);
+            (first <= last).then_some((first as usize, last as usize))
+        };
+        let covered = pixels(0, 0, view.width).zip(pixels(1, view.rows.start, view.rows.end));
+        let covered = covered.map(|((x0, x1), (y0, y1))| [x0, y0, x1, y1]);
+        (covered, nearest.into_iter().fold(0.0, f32::max))
+    }
+}
+
+/// Which triangles of a cluster have pixel centres in their bounding boxes: most are too small for any.
+#[derive(Debug, Clone)]
+struct PixelBoxes {
+    /// x0, y0, x1, y1 (inclusive) of each triangle.
+    pixels: [[i32; CLUSTER_TRIANGLES]; 4],
+    /// Not zero for triangles within [`SMALL`].
+    is_small: [i32; CLUSTER_TRIANGLES],
+    /// Triangles with pixels, the first [`Self::count`].
+    kept: [u8; CLUSTER_TRIANGLES],
+    count: usize,
+    /// Corners on the grid, axis by axis.
+    corners: [[[i32; CLUSTER_TRIANGLES]; 2]; 3],
+}
+
+const _: () = assert!(CLUSTER_TRIANGLES <= 256, "a triangle's place must fit a byte");
+
+impl Default for PixelBoxes {
+    fn default() -> Self {
+        Self {
+            pixels: [[0; CLUSTER_TRIANGLES]; 4],
+            is_small: [0; CLUSTER_TRIANGLES],
+            kept: [0; CLUSTER_TRIANGLES],
+            count: 0,
+            corners: [[[0; CLUSTER_TRIANGLES]; 2]; 3],
+        }
+    }
+}
+
+impl PixelBoxes {
+    #[inline(always)]
+    fn find(&mut self, triangles: &[ClusterTriangle], grid: &[[i32; 2]], view: &View) {
+        let Self { pixels, is_small, kept, count, corners } = self;
+        for (place, triangle) in triangles.iter().enumerate() {
+            for (corner, &vertex) in corners.iter_mut().zip(&triangle.corners) {
+                let [x, y] = grid[usize::from(vertex)];
+                corner[0][place] = x;
+                corner[1][place] = y;
+            }
+        }
+        let limits = [[0, view.width as i32], [view.rows.start as i32, view.rows.end as i32]];
+        let whole = triangles.len().next_multiple_of(LANES).min(CLUSTER_TRIANGLES);
+        is_small[..whole].fill(-1);
+        let [a, b, c] = &*corners;
+        let (first, last) = pixels.split_at_mut(2);
+        for axis in 0..2 {
+            let [from, end] = limits[axis];
+            let (a, b, c) = (&a[axis][..whole], &b[axis][..whole], &c[axis][..whole]);
+            let (first, last) = (&mut first[axis][..whole], &mut last[axis][..whole]);
+            let is_small = &mut is_small[..whole];
+            for i in 0..whole {
+                let low = a[i].min(b[i]).min(c[i]);
+                let high = a[i].max(b[i]).max(c[i]);
+                first[i] = first_pixel(low).max(from);
+                last[i] = last_pixel(high).min(end - 1);
+                is_small[i] &= -i32::from(high - low <= SMALL[axis]);
+            }
+        }
+        *count = 0;
+        for i in 0..triangles.len() {
+            kept[*count % CLUSTER_TRIANGLES] = i as u8;
+            let is_kept = (first[0][i] <= last[0][i]) & (first[1][i] <= last[1][i]);
+            *count += usize::from(is_kept);
+        }
+    }
+}
+
+/// The buffers as a place to draw.
+#[inline(always)]
+fn target<'a>(view: &View, inverse_depth: &'a mut [f32], triangle: &'a mut [u32]) -> Target<'a> {
+    Target {
+        width: view.width as i32,
+        rows: [view.rows.start as i32, view.rows.end as i32],
+        stride: view.stride,
+        inverse_depth,
+        triangle,
+    }
 }
 
 impl Visibility {
@@ -62,27 +177,54 @@ impl Visibility {
         (self.drawn[id / CLUSTER_TRIANGLES], id % CLUSTER_TRIANGLES)
     }
 
-    /// Fills the buffers for a view of a scene.
-    pub fn find(&mut self, view: &View, scene: &ClusteredScene) {
+    /// The largest value that [`Visibility::triangle`] can have so far.
+    pub fn last_value(&self) -> u32 {
+        (self.drawn.len() * CLUSTER_TRIANGLES) as u32
+    }
+
+    /// Takes over what another has drawn.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.inverse_depth.clone_from(&other.inverse_depth);
+        self.triangle.clone_from(&other.triangle);
+        self.drawn.clone_from(&other.drawn);
+        for (axis, other) in self.position.iter_mut().zip(&other.position) {
+            axis.clone_from(other);
+        }
+        self.tiles.clone_from(&other.tiles);
+    }
+
+    /// Empties the buffers for a view.
+    pub fn reset(&mut self, view: &View) {
+        let pixels = view.stride * view.rows.len() + LANES;
+        self.inverse_depth.clear();
+        self.inverse_depth.resize(pixels, 1.0 / view.far);
+        self.triangle.clear();
+        self.triangle.resize(pixels, 0);
+        self.drawn.clear();
+        self.position.iter_mut().for_each(Vec::clear);
+        self.tiles.reset(view);
+    }
+
+    /// Draws the bodies (by place) that are `shown` over what has been drawn since the last reset.
+    pub fn draw(&mut self, view: &View, scene: &ClusteredScene, shown: &[bool]) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the processor has AVX2.
-            unsafe { self.find_avx2(view, scene) };
+            unsafe { self.draw_avx2(view, scene, shown) };
             return;
         }
-        self.find_inline(view, scene);
+        self.draw_inline(view, scene, shown);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn find_avx2(&mut self, view: &View, scene: &ClusteredScene) {
-        self.find_inline(view, scene);
+    fn draw_avx2(&mut self, view: &View, scene: &ClusteredScene, shown: &[bool]) {
+        self.draw_inline(view, scene, shown);
     }
 
     #[inline(always)]
-    fn find_inline(&mut self, view: &View, scene: &ClusteredScene) {
-        self.reset(view);
-        self.collect(view, scene);
+    fn draw_inline(&mut self, view: &View, scene: &ClusteredScene, shown: &[bool]) {
+        self.collect(view, scene, shown);
         for index in 0..self.candidates.len() {
             let candidate = self.candidates[index];
             let covered = view.pixel_box(&candidate.sphere);
@@ -94,29 +236,16 @@ impl Visibility {
                 }
             }
             self.draw_cluster(view, scene, candidate);
-            let everything = [0, 0, view.width - 1, view.height - 1];
-            self.tiles.touch(covered.unwrap_or(everything));
         }
-    }
-
-    fn reset(&mut self, view: &View) {
-        let pixels = view.stride * view.height + LANES;
-        self.inverse_depth.clear();
-        self.inverse_depth.resize(pixels, 1.0 / view.far);
-        self.triangle.clear();
-        self.triangle.resize(pixels, 0);
-        self.drawn.clear();
-        self.position.iter_mut().for_each(Vec::clear);
-        self.tiles.reset(view);
     }
 
     /// Gathers the clusters that may be in the image, nearest first.
     #[inline(always)]
-    fn collect(&mut self, view: &View, scene: &ClusteredScene) {
+    fn collect(&mut self, view: &View, scene: &ClusteredScene, shown: &[bool]) {
         self.candidates.clear();
         for (instance, placed) in scene.instances.iter().enumerate() {
             let mesh_sphere = view.sphere(placed.body, &placed.mesh.sphere);
-            if !view.shown[placed.body] || !view.may_see(&mesh_sphere) {
+            if !shown[placed.body] || !view.may_see(&mesh_sphere) {
                 continue;
             }
             for (index, cluster) in placed.mesh.clusters.iter().enumerate() {
@@ -137,33 +266,88 @@ impl Visibility {
         let first_vertex = self.position[0].len();
         let transform = &view.camera_from_body[placed.body];
         let all_safe = self.transform(view, transform, &placed.mesh, cluster);
-
+        let mut touched = [0, view.rows.start, view.width - 1, view.rows.end - 1];
+        if all_safe {
+            // The vertices tell more closely than the sphere what the cluster can cover.
+            let (covered, nearest) = self.projected.extent(cluster.vertices.len(), view);
+            let seen = covered
+                .filter(|&covered| !self.tiles.hides(covered, nearest, &self.inverse_depth, view));
+            let Some(covered) = seen else {
+                self.position.iter_mut().for_each(|axis| axis.truncate(first_vertex));
+                return;
+            };
+            touched = covered;
+        }
         let first_id = (self.drawn.len() * CLUSTER_TRIANGLES) as u32 + 1;
         self.drawn.push(DrawnCluster {
             instance: candidate.instance,
             cluster: candidate.cluster,
             first_vertex: first_vertex as u32,
         });
+        let triangles = &placed.mesh.triangles[cluster.triangles.clone()];
+        if all_safe {
+            self.draw_triangles(view, triangles, first_vertex, first_id);
+        } else {
+            self.draw_with_clipping(view, triangles, first_vertex, first_id);
+        }
+        self.tiles.touch(touched);
+    }
+
+    /// Draws triangles whose corners are all on the grid.
+    #[inline(always)]
+    fn draw_triangles(
+        &mut self,
+        view: &View,
+        triangles: &[ClusterTriangle],
+        first_vertex: usize,
+        first_id: u32,
+    ) {
+        let Self { inverse_depth, triangle, position, projected, boxes, tiles, .. } = self;
+        let mut target = target(view, inverse_depth, triangle);
+        let [x, y, z] = position.each_ref().map(|axis| &axis[first_vertex..]);
+        let at = |corner: u16| [x, y, z].map(|axis| axis[usize::from(corner)]);
+        boxes.find(triangles, &projected.grid, view);
+        for &place in &boxes.kept[..boxes.count] {
+            let place = usize::from(place);
+            let corners = triangles[place].corners;
+            let inverse_z = corners.map(|corner| projected.inverse_z[usize::from(corner)]);
+            let largest = inverse_z[0].max(inverse_z[1]).max(inverse_z[2]);
+            let grid = corners.map(|corner| projected.grid[usize::from(corner)]);
+            let bounds = boxes.pixels.each_ref().map(|side| side[place]);
+            let depth = || plane(view, corners.map(at), inverse_z);
+            let id = first_id + place as u32;
+            if boxes.is_small[place] != 0 {
+                draw_small(&mut target, &grid, bounds, id, largest, depth);
+            } else if !tiles.hides(bounds.map(|v| v as usize), largest, target.inverse_depth, view)
+            {
+                draw(&mut target, &grid, bounds, id, largest, depth);
+            }
+        }
+    }
+
+    /// Draws triangles some of which reach beyond the grid.
+    #[inline(always)]
+    fn draw_with_clipping(
+        &mut self,
+        view: &View,
+        triangles: &[ClusterTriangle],
+        first_vertex: usize,
+        first_id: u32,
+    ) {
         let Self { inverse_depth, triangle, position, projected, .. } = self;
-        let mut target = Target {
-            width: view.width as i32,
-            height: view.height as i32,
-            stride: view.stride,
-            inverse_depth,
-            triangle,
-        };
+        let mut target = target(view, inverse_depth, triangle);
         let [x, y, z] = position.each_ref().map(|axis| &axis[first_vertex..]);
         let at = |corner: u16| [x, y, z].map(|axis| axis[usize::from(corner)]);
         let grid_at = |c: u16| projected.grid[usize::from(c)];
-        let triangles = &placed.mesh.triangles[cluster.triangles.clone()];
         for (id, triangle) in (first_id..).zip(triangles) {
             let corners = triangle.corners;
-            let inverse_z = || corners.map(|corner| projected.inverse_z[usize::from(corner)]);
-            if all_safe || corners.iter().all(|&corner| is_safe(view, at(corner))) {
+            if corners.iter().all(|&corner| is_safe(view, at(corner))) {
                 let grid = corners.map(grid_at);
-                if let Some(bounds) = pixel_box(&grid, target.width, target.height) {
-                    let depth = || plane(view, corners.map(at), inverse_z());
-                    draw(&mut target, &grid, bounds, id, depth);
+                if let Some(bounds) = target.pixel_box(&grid) {
+                    let inverse_z = corners.map(|corner| projected.inverse_z[usize::from(corner)]);
+                    let largest = inverse_z[0].max(inverse_z[1]).max(inverse_z[2]);
+                    let depth = || plane(view, corners.map(at), inverse_z);
+                    draw(&mut target, &grid, bounds, id, largest, depth);
                 }
             } else {
                 let clipped = corners.map(|corner| {
@@ -296,8 +480,9 @@ fn draw_clipped(
     // A corner before the near plane leaves no corner nearer than the plane itself.
     let inverse_z = p.map(|p| 1.0 / p[2].max(view.near));
     clip(view, corners, |grid: &GridTriangle| {
-        if let Some(bounds) = pixel_box(grid, target.width, target.height) {
-            draw(target, grid, bounds, id, || plane(view, p, inverse_z));
+        if let Some(bounds) = target.pixel_box(grid) {
+            let largest = inverse_z[0].max(inverse_z[1]).max(inverse_z[2]);
+            draw(target, grid, bounds, id, largest, || plane(view, p, inverse_z));
         }
     });
 }
