@@ -14,7 +14,7 @@ one of them repeatedly with
 Then frames are read back, at random and in order, by a map-style loader through h5py, and by
 LeRobot's dataset in PyTorch's DataLoader.
 
-CPU time is user + system of the writing process; reading the source is subtracted. "raw" is RGB u8
+CPU time is user + system of all threads while they write. "raw" is RGB u8
 and depth u16 alone, as the target counts it; segmentation and cloud are written by all and are in
 no ratio.
 """
@@ -42,8 +42,8 @@ REPACK = ROOT / "target" / "release" / "examples" / "repack"
 Arrays = dict[str, np.ndarray]
 
 
-def cpu_seconds(who: int = resource.RUSAGE_SELF) -> float:
-    usage = resource.getrusage(who)
+def cpu_seconds() -> float:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime
 
 
@@ -75,20 +75,18 @@ def images_of(dataset: Path, frames: int) -> Arrays:
 def ours(
     source: Path, folder: Path, codec: str, frames: int, *, copies: int, per_shard: int
 ) -> dict[str, Any]:
-    """CPU of `copies` more episodes than one, so that start and reading cancel out."""
+    """What `copies` more episodes than one take."""
 
-    def run(count: int) -> tuple[float, dict[str, Any], int]:
+    def run(count: int) -> tuple[dict[str, Any], int]:
         output = folder / f"{codec}_{count}_{per_shard}"
-        before = cpu_seconds(resource.RUSAGE_CHILDREN)
         command = [REPACK, source, output, codec, count, frames, per_shard]
         done = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True)
-        spent = cpu_seconds(resource.RUSAGE_CHILDREN) - before
         size = sum(path.stat().st_size for path in (output / "shards").iterdir())
-        return spent, json.loads(done.stdout), size
+        return json.loads(done.stdout), size
 
-    (cpu_one, one, size_one), (cpu_many, many, size_many) = run(1), run(1 + copies)
+    (one, size_one), (many, size_many) = run(1), run(1 + copies)
     return {
-        "cpu_s": (cpu_many - cpu_one) / copies,
+        "cpu_s": (many["cpu_s"] - one["cpu_s"]) / copies,
         "wall_s": (many["seconds"] - one["seconds"]) / copies,
         "bytes": (size_many - size_one) // copies,
         "peak_mb": many["peak_mb"],

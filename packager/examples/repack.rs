@@ -33,21 +33,32 @@ fn main() -> Outcome<()> {
     let info = info(&source, &observations);
     let config = DatasetConfig { storage, ..source.config().clone() };
     let mut writer = DatasetWriter::create(Path::new(output), config)?;
-    let mut spent = Duration::ZERO;
+    let (mut spent, mut cpu_s) = (Duration::ZERO, 0.0);
     for copy in 0..copies {
         let info = EpisodeInfo { id: format!("copy-{copy:06}"), ..info.clone() };
         let frames = observations.clone();
-        let started = Instant::now();
+        let (started, cpu_before_s) = (Instant::now(), cpu_seconds()?);
         writer.begin_episode(info)?;
         frames.into_iter().try_for_each(|frame| writer.push(frame))?;
         writer.finish_episode()?;
         spent += started.elapsed();
+        cpu_s += cpu_seconds()? - cpu_before_s;
     }
-    let started = Instant::now();
+    let (started, cpu_before_s) = (Instant::now(), cpu_seconds()?);
     writer.close()?;
     spent += started.elapsed();
-    println!("{}", serde_json::json!({ "seconds": spent.as_secs_f64(), "peak_mb": peak_mb() }));
+    cpu_s += cpu_seconds()? - cpu_before_s;
+    let seconds = spent.as_secs_f64();
+    println!("{}", serde_json::json!({ "seconds": seconds, "cpu_s": cpu_s, "peak_mb": peak_mb() }));
     Ok(())
+}
+
+/// User and system time of all threads so far, as Linux states it, in hundredths of a second.
+fn cpu_seconds() -> Outcome<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat")?;
+    let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let ticks = fields.skip(11).take(2).map(str::parse::<u64>).sum::<Result<u64, _>>()?;
+    Ok(ticks as f64 / 100.0)
 }
 
 /// Largest resident memory of this process so far, as Linux states it.

@@ -139,8 +139,9 @@ impl DepthEncoding {
 
 /// Depth in whole millimetres; 0 where it is invalid or does not fit.
 pub(crate) fn millimetres(depth_m: f32) -> u16 {
-    let rounded = (f64::from(depth_m) * 1000.0).round();
-    if rounded >= 1.0 && rounded <= f64::from(u16::MAX) { rounded as u16 } else { 0 }
+    // The product is exact and so is the sum, so that this rounds halves up. Casts saturate.
+    let rounded = (f64::from(depth_m) * 1000.0 + 0.5) as i32;
+    if rounded > 0 && rounded <= i32::from(u16::MAX) { rounded as u16 } else { 0 }
 }
 
 /// Depth in metres; 0 where it is invalid.

@@ -11,6 +11,8 @@ mod lz4;
 mod registry;
 mod shuffle;
 
+use std::cell::RefCell;
+
 use hdf5::filters::Filter;
 pub(crate) use registry::register;
 use schemars::JsonSchema;
@@ -130,17 +132,42 @@ pub(crate) fn decode(
     Ok(bytes)
 }
 
+/// What a thread compresses with: setting it up takes longer than compressing a small chunk.
+struct Deflater {
+    level: u8,
+    compressor: libdeflater::Compressor,
+    output: Vec<u8>,
+}
+
+impl Deflater {
+    fn new(level: u8) -> Self {
+        let valid = libdeflater::CompressionLvl::new(i32::from(level))
+            .expect("levels are held within libdeflate's range");
+        Self { level, compressor: libdeflater::Compressor::new(valid), output: Vec::new() }
+    }
+
+    fn deflate(&mut self, input: &[u8]) -> Vec<u8> {
+        let bound = self.compressor.zlib_compress_bound(input.len());
+        if self.output.len() < bound {
+            self.output.resize(bound, 0);
+        }
+        let size = self
+            .compressor
+            .zlib_compress(input, &mut self.output)
+            .expect("the bound is the largest size a stream can have");
+        self.output[..size].to_vec()
+    }
+}
+
 /// A zlib stream.
 fn deflate(input: &[u8], level: u8) -> Vec<u8> {
-    let level = libdeflater::CompressionLvl::new(i32::from(level))
-        .expect("levels are held within libdeflate's range");
-    let mut compressor = libdeflater::Compressor::new(level);
-    let mut output = vec![0; compressor.zlib_compress_bound(input.len())];
-    let size = compressor
-        .zlib_compress(input, &mut output)
-        .expect("the bound is the largest size a stream can have");
-    output.truncate(size);
-    output
+    thread_local! {
+        static DEFLATER: RefCell<Option<Deflater>> = const { RefCell::new(None) };
+    }
+    DEFLATER.with_borrow_mut(|deflater| {
+        let fitting = deflater.take().filter(|known| known.level == level);
+        deflater.insert(fitting.unwrap_or_else(|| Deflater::new(level))).deflate(input)
+    })
 }
 
 fn inflate(stream: &[u8], chunk_bytes: usize) -> Result<Vec<u8>, String> {

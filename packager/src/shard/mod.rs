@@ -464,7 +464,11 @@ impl ChunkJob<'_> {
 }
 
 fn le_bytes<T: Copy, const N: usize>(values: &[T], bytes: impl Fn(T) -> [u8; N]) -> Vec<u8> {
-    values.iter().flat_map(|&v| bytes(v)).collect()
+    let mut encoded = vec![0; values.len() * N];
+    for (place, &value) in encoded.as_chunks_mut::<N>().0.iter_mut().zip(values) {
+        *place = bytes(value);
+    }
+    encoded
 }
 
 fn check_info(path: &Path, info: &EpisodeInfo) -> Result<()> {
