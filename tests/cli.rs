@@ -138,6 +138,20 @@ fn an_output_in_a_missing_folder_is_noticed_before_planning() {
 }
 
 #[test]
+fn a_missing_adapter_is_a_failure_that_says_what_to_install() {
+    let Some(assets) = akrobat_model::fixtures::shared_assets() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("trajectories.h5");
+    let mut plan = akrobat();
+    plan.args(["plan", "configs/tasks/summit_drawer_empty.toml", "--backend", "wgpu", "-o"]);
+    plan.arg(&output).arg("--assets").arg(assets);
+    plan.env("VK_DRIVER_FILES", "/nonexistent.json").env("VK_ICD_FILENAMES", "/nonexistent.json");
+    let message = contains("no usable GPU adapter").and(contains("mesa-vulkan-drivers"));
+    plan.assert().code(1).stderr(message.and(contains("--backend cpu")));
+    assert!(!output.exists());
+}
+
+#[test]
 fn an_asset_folder_must_exist() {
     let (folder, file) = task(TASK);
     let output = folder.path().join("out.h5");

@@ -8,6 +8,8 @@ use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables}
 
 /// Residual (m, rad) below which the constraint counts as held.
 pub const TOLERANCE: f64 = 1e-7;
+/// Newton steps of a projection.
+pub(crate) const MAX_STEPS: usize = 12;
 
 /// The constraint, on a compiled AKR whose last variable is the object's joint.
 #[derive(Debug, Clone)]
@@ -39,6 +41,21 @@ impl Closure {
             node_from_object: Frame::from(&node_from_object),
             world_from_object: Frame::from(world_from_object),
         })
+    }
+
+    /// The node that the object's root hangs from.
+    pub(crate) fn node(&self) -> usize {
+        self.node
+    }
+
+    /// The object's root in that node's frame.
+    pub(crate) fn node_from_object(&self) -> &Frame {
+        &self.node_from_object
+    }
+
+    /// Where the object's root belongs.
+    pub(crate) fn world_from_object(&self) -> &Frame {
+        &self.world_from_object
     }
 
     /// Residual at a configuration.
@@ -74,7 +91,7 @@ impl Closure {
         if hold_object {
             scale[object] = 0.0;
         }
-        for _ in 0..12 {
+        for _ in 0..MAX_STEPS {
             let frames = kinematics.forward(x);
             let Residual { error, mut jacobian } = self.linearise(kinematics, &frames);
             let size = error.amax();

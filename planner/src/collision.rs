@@ -153,9 +153,9 @@ struct Placed {
 }
 
 /// Distance beyond which clearances are not told apart, metres.
-const FAR_M: f64 = 0.02;
+pub(crate) const FAR_M: f64 = 0.02;
 /// The same for the robot's own links, metres.
-const PAIR_FAR_M: f64 = 0.05;
+pub(crate) const PAIR_FAR_M: f64 = 0.05;
 
 /// What is closest to a collision.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -260,6 +260,18 @@ impl RobotBody {
             .filter_map(|&(a, b)| Some(PairGroup { a: position(a)?, b: position(b)? }))
             .collect();
         Self { spheres, groups, bounds: bounds.into_iter().map(|(_, b)| b).collect() }
+    }
+
+    /// Each link's node, its bounding sphere in the node's frame (centre and radius, metres), and its spheres.
+    pub(crate) fn links(
+        &self,
+    ) -> impl Iterator<Item = (usize, Vector3<f64>, f64, std::ops::Range<usize>)> + '_ {
+        self.bounds.iter().map(|b| (b.node, b.center, b.radius, b.first..b.last))
+    }
+
+    /// Pairs of [`Self::links`] that can collide.
+    pub(crate) fn link_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.groups.iter().map(|group| (group.a, group.b))
     }
 
     /// For each checked pair of links, whether their spheres overlap.

@@ -14,9 +14,9 @@ use rayon::prelude::*;
 /// Width of the exact band around surfaces, in voxels.
 const EXACT_BAND: f64 = 2.0;
 /// Distance in voxels beyond which distances are those of the transform alone.
-const NEAR_VOXELS: f32 = 12.0;
+pub(crate) const NEAR_VOXELS: f32 = 12.0;
 /// Half of a voxel's diagonal, and a tenth more for what interpolation adds, in voxels.
-const HALF_DIAGONAL: f64 = 0.953;
+pub(crate) const HALF_DIAGONAL: f64 = 0.953;
 /// Label of a voxel whose nearest triangle is not known.
 const UNKNOWN: u32 = u32::MAX;
 

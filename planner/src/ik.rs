@@ -1,11 +1,13 @@
 //! Batch inverse kinematics by damped least squares from random seeds.
 
+use akrobat_gpu::GpuError;
 use akrobat_model::Robot;
 use nalgebra::{Matrix6, SVector, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use crate::gpu::Reached;
 use crate::kernels::Config;
 use crate::kernels::ik::{BatchIk, Solved};
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, NodeFrames, Variables, rotation_log};
@@ -207,45 +209,110 @@ pub struct Batch {
     pub solved: usize,
 }
 
-/// Solves from random starts that pass `prefilter` until enough solutions pass `accept`. The result does not
-/// depend on the number of threads.
-#[allow(clippy::too_many_arguments)] // a batch is described by exactly these
-pub fn solve_batch(
-    kinematics: &Kinematics,
-    tool: &Tool,
-    target: &Frame,
-    region: &SeedRegion,
-    seed: u64,
-    effort: Effort,
-    prefilter: &(dyn Fn(&Variables) -> bool + Sync),
-    accept: &(dyn Fn(&Variables) -> bool + Sync),
-) -> Batch {
-    let kernel = BatchIk::new(kinematics, tool);
-    let draw = |index: usize| -> Option<Vec<f64>> {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+/// What a batch looks for.
+pub struct Search<'a> {
+    /// The chain to the tool.
+    pub kinematics: &'a Kinematics,
+    /// Its end.
+    pub tool: &'a Tool,
+    /// Where the tool belongs.
+    pub target: &'a Frame,
+    /// Where seeds are drawn.
+    pub region: &'a SeedRegion,
+    /// Seed of the random numbers.
+    pub seed: u64,
+    /// How hard to try.
+    pub effort: Effort,
+    /// What seeds must satisfy.
+    pub prefilter: &'a (dyn Fn(&Variables) -> bool + Sync),
+    /// What solutions must satisfy.
+    pub accept: &'a (dyn Fn(&Variables) -> bool + Sync),
+}
+
+impl Search<'_> {
+    /// Solves from random starts until enough solutions are accepted. The result does not depend on the number of
+    /// threads.
+    pub fn on_cpu(&self) -> Batch {
+        let kernel = BatchIk::new(self.kinematics, self.tool);
+        let solve_seeds = |first: usize| -> Vec<(bool, Option<Vec<f64>>)> {
+            let last = (first + GROUP).min(self.effort.seeds);
+            let seeds: Vec<Config> = (first..last).filter_map(|index| self.draw(index)).collect();
+            let found = kernel.solve(self.target, &seeds);
+            found.iter().map(|solved| self.polish(solved)).collect()
+        };
+        let mut batch = Batch::default();
+        while !self.is_done(&batch) {
+            let last = (batch.seeds + CHUNK).min(self.effort.seeds);
+            let groups: Vec<usize> = (batch.seeds..last).step_by(GROUP).collect();
+            batch.add(last, groups.into_par_iter().flat_map_iter(solve_seeds).collect());
+        }
+        batch
+    }
+
+    /// The same with seeds solved by `device`, up to `chunks_ahead` chunks of them at once: where it stops does not depend on
+    /// that. Solutions whose clearance the device says is below `least_m` are dropped unpolished.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn on_device(
+        &self,
+        device: impl Fn(&[Config]) -> Result<Vec<Reached>, GpuError>,
+        chunks_ahead: usize,
+        least_m: f64,
+    ) -> Result<Batch, GpuError> {
+        let polish = |found: &Reached| match found.solved.converged && found.clearance_m < least_m {
+            true => (true, None),
+            false => self.polish(&found.solved),
+        };
+        let mut batch = Batch::default();
+        while !self.is_done(&batch) {
+            let first = batch.seeds;
+            let last = (first + chunks_ahead * CHUNK).min(self.effort.seeds);
+            let drawn: Vec<(usize, Config)> = (first..last)
+                .into_par_iter()
+                .filter_map(|index| Some((index, self.draw(index)?)))
+                .collect();
+            let seeds: Vec<Config> = drawn.iter().map(|(_, x)| *x).collect();
+            let found = device(&seeds)?;
+            while batch.seeds < last && !self.is_done(&batch) {
+                let chunk = batch.seeds..(batch.seeds + CHUNK).min(last);
+                let own = drawn.iter().zip(&found).filter(|((index, _), _)| chunk.contains(index));
+                let own: Vec<&Reached> = own.map(|(_, found)| found).collect();
+                batch.add(chunk.end, own.into_par_iter().map(polish).collect());
+            }
+        }
+        Ok(batch)
+    }
+
+    fn is_done(&self, batch: &Batch) -> bool {
+        batch.seeds >= self.effort.seeds || batch.accepted.len() >= self.effort.enough
+    }
+
+    fn draw(&self, index: usize) -> Option<Config> {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(index as u64);
-        (0..SEED_DRAWS).map(|_| region.sample(kinematics, target, &mut rng)).find(|x| prefilter(x))
-    };
-    let polish = |found: &Solved| -> (bool, Option<Vec<f64>>) {
-        let mut x: Vec<f64> = found.x[..kinematics.dof()].iter().map(|&v| f64::from(v)).collect();
-        if !(found.converged && solve(kinematics, tool, target, &mut x, 0)) {
+        (0..SEED_DRAWS)
+            .map(|_| self.region.sample(self.kinematics, self.target, &mut rng))
+            .find(|x| (self.prefilter)(x))
+            .map(|x| single(&x))
+    }
+
+    /// Whether a seed has converged, in double precision, and its solution where that is accepted.
+    fn polish(&self, found: &Solved) -> (bool, Option<Vec<f64>>) {
+        let dof = self.kinematics.dof();
+        let mut x: Vec<f64> = found.x[..dof].iter().map(|&v| f64::from(v)).collect();
+        if !(found.converged && solve(self.kinematics, self.tool, self.target, &mut x, 0)) {
             return (false, None);
         }
-        (true, accept(&x).then_some(x))
-    };
-    let solve_seeds = |first: usize| -> Vec<(bool, Option<Vec<f64>>)> {
-        let last = (first + GROUP).min(effort.seeds);
-        let seeds: Vec<Config> = (first..last).filter_map(draw).map(|x| single(&x)).collect();
-        kernel.solve(target, &seeds).iter().map(polish).collect()
-    };
-    let mut batch = Batch::default();
-    while batch.seeds < effort.seeds && batch.accepted.len() < effort.enough {
-        let last = (batch.seeds + CHUNK).min(effort.seeds);
-        let groups: Vec<usize> = (batch.seeds..last).step_by(GROUP).collect();
-        let results: Vec<_> = groups.into_par_iter().flat_map_iter(solve_seeds).collect();
-        batch.seeds = last;
-        batch.solved += results.iter().filter(|(solved, _)| *solved).count();
-        batch.accepted.extend(results.into_iter().filter_map(|(_, x)| x));
+        (true, (self.accept)(&x).then_some(x))
     }
-    batch
+}
+
+impl Batch {
+    /// Adds what became of the seeds up to `seeds`.
+    fn add(&mut self, seeds: usize, results: Vec<(bool, Option<Vec<f64>>)>) {
+        self.seeds = seeds;
+        self.solved += results.iter().filter(|(solved, _)| *solved).count();
+        self.accepted.extend(results.into_iter().filter_map(|(_, x)| x));
+    }
 }

@@ -7,12 +7,14 @@
 
 pub mod akr;
 pub mod approach;
+pub mod backend;
 pub mod closure;
 pub mod cluster;
 pub mod collision;
 pub mod config;
 pub mod dense;
 pub mod esdf;
+pub mod gpu;
 pub mod grasp;
 pub mod ik;
 pub mod kernels;
@@ -23,6 +25,7 @@ pub mod spheres;
 pub mod trajopt;
 pub mod world;
 
+pub use backend::Backend;
 pub use config::PlannerConfig;
-pub use plan::{PlanError, PlanOutcome, Preparation, plan};
+pub use plan::{PlanError, PlanOutcome, Preparation, plan, plan_on};
 pub use spheres::{Sphere, SphereModel};

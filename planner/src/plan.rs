@@ -12,6 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 use std::time::Instant;
 
+use akrobat_gpu::GpuError;
 use akrobat_model::events::{Event, Observer};
 use akrobat_model::robot::BaseKind;
 use akrobat_model::task::{ObjectKind, Task};
@@ -20,10 +21,12 @@ use akrobat_model::{ModelError, Verdict, hash};
 use rayon::prelude::*;
 
 use crate::approach::{self, Approach, ApproachPlanner, Transfer};
+use crate::backend::Backend;
 use crate::closure::Closure;
 use crate::collision::{self, LinkPairs, MovingCheck, RobotBody};
 use crate::config::PlannerConfig;
 use crate::dense;
+use crate::gpu::Session;
 use crate::ik::Tool;
 use crate::kinematics::Kinematics;
 use crate::spheres::{self, SphereModel};
@@ -57,6 +60,9 @@ pub enum PlanError {
         /// The robot.
         robot: String,
     },
+    /// The graphics processor failed.
+    #[error(transparent)]
+    Device(#[from] GpuError),
     /// The user asked to stop.
     #[error("stopped on request")]
     Cancelled,
@@ -129,7 +135,7 @@ pub struct PlanOutcome {
 /// Judges one trajectory.
 pub type JudgeFn<'a> = dyn Fn(&Trajectory) -> Verdict + Sync + 'a;
 
-/// Plans a task in its `world` until `config.limit` trajectories are accepted or all pairs are used up.
+/// Plans a task in its `world` until `config.limit` trajectories are accepted or all pairs are used up, on the CPU.
 ///
 /// # Errors
 /// [`PlanError`].
@@ -141,17 +147,15 @@ pub fn plan(
     observer: &dyn Observer,
     judge: &JudgeFn<'_>,
 ) -> Result<PlanOutcome, PlanError> {
-    match task.file.object.kind {
-        ObjectKind::Articulated => plan_driven(task, preparation, world, config, observer, judge),
-        ObjectKind::Planar => planar::plan_planar(task, preparation, config, observer, judge),
-        ObjectKind::Rigid => {
-            rigid::plan_rigid(Run::new(task, preparation, config, observer), world, judge)
-        }
-    }
+    plan_on(&Backend::Cpu, task, preparation, world, config, observer, judge)
 }
 
-/// Plans a task whose object has a joint that is driven.
-fn plan_driven(
+/// As [`plan`], with batches computed on `backend`. Rigid objects are planned on the CPU in any case.
+///
+/// # Errors
+/// [`PlanError`].
+pub fn plan_on(
+    backend: &Backend,
     task: &Task,
     preparation: &Preparation,
     world: &World,
@@ -159,7 +163,39 @@ fn plan_driven(
     observer: &dyn Observer,
     judge: &JudgeFn<'_>,
 ) -> Result<PlanOutcome, PlanError> {
+    match task.file.object.kind {
+        ObjectKind::Articulated => {
+            plan_driven(backend, task, preparation, world, config, observer, judge)
+        }
+        ObjectKind::Planar => {
+            planar::plan_planar(backend, task, preparation, config, observer, judge)
+        }
+        ObjectKind::Rigid => {
+            if matches!(backend, Backend::Wgpu(_)) {
+                let message = "rigid objects are planned on the CPU";
+                observer.event(&Event::Warning { message });
+            }
+            rigid::plan_rigid(Run::new(task, preparation, config, observer), world, judge)
+        }
+    }
+}
+
+/// Plans a task whose object has a joint that is driven.
+fn plan_driven(
+    backend: &Backend,
+    task: &Task,
+    preparation: &Preparation,
+    world: &World,
+    config: &PlannerConfig,
+    observer: &dyn Observer,
+    judge: &JudgeFn<'_>,
+) -> Result<PlanOutcome, PlanError> {
+    let session = match backend {
+        Backend::Cpu => None,
+        Backend::Wgpu(gpu) => Some(gpu.session(world)?),
+    };
     let mut run = Run::new(task, preparation, config, observer);
+    run.device = session.as_ref();
     let grasps = run.stage("grasps", |run| run.grasps(world))?;
     let mut holds = run.stage("inverse kinematics", |run| run.holds(world, &grasps))?;
     let mut followed = run.followed_pairs(world, &holds, Starts::Clustered);
@@ -188,10 +224,8 @@ fn plan_driven(
         if round.is_empty() && others.is_none() {
             break;
         }
-        let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
-            run.connect(world, &holds, pair, judge, steps)
-        };
-        let accepted = run.collect(optimisation, &round, limit, &mut found, &connect)?;
+        let accepted =
+            run.collect_pairs(optimisation, world, &holds, &round, limit, &mut found, judge)?;
         reached.extend(accepted.into_iter().map(|pair| (round[pair].hold, round[pair].start)));
         suffice = false;
     }
@@ -202,18 +236,17 @@ fn plan_driven(
         }
         let pairs = run.goal_pairs(&holds, &of_clusters);
         run.count("pairs", pairs.len());
-        let connect = |run: &Run<'_>, pair: &Pair, steps: &mut StepClock| {
-            run.connect(world, &holds, pair, judge, steps)
-        };
-        run.collect(optimisation, &pairs, limit, &mut found, &connect)?;
+        run.collect_pairs(optimisation, world, &holds, &pairs, limit, &mut found, judge)?;
     }
     let missing = run.missing_goals(found.trajectories);
     if regrasps && !missing.is_empty() && found.trajectories.len() < config.limit {
         let chains = run.stage("changes of grasp", |run| run.chains(world, &holds, &missing))?;
-        let connect = |run: &Run<'_>, chain: &Chain, steps: &mut StepClock| {
-            run.connect_chain(world, &holds, chain, judge, steps)
-        };
-        run.collect("re-grasped trajectories", &chains, config.limit, &mut found, &connect)?;
+        let connect =
+            |run: &Run<'_>, chain: &Chain, _: Option<&Waypoints>, steps: &mut StepClock| {
+                run.connect_chain(world, &holds, chain, judge, steps)
+            };
+        let work = Work::one_by_one(&connect);
+        run.collect("re-grasped trajectories", &chains, config.limit, &mut found, &work)?;
     }
     Ok(run.outcome(trajectories, notes))
 }
@@ -223,6 +256,8 @@ struct Run<'a> {
     preparation: &'a Preparation,
     config: &'a PlannerConfig,
     observer: &'a dyn Observer,
+    /// The world on the device, where there is one.
+    device: Option<&'a Session<'a>>,
     counts: BTreeMap<String, u64>,
     stage_seconds: BTreeMap<String, f64>,
     step_seconds: BTreeMap<String, Vec<f64>>,
@@ -308,8 +343,24 @@ struct Found<'a> {
     notes: &'a mut Vec<String>,
 }
 
-/// Plans one of several things of a kind.
-type Connect<'a, T> = dyn Fn(&Run<'_>, &T, &mut StepClock) -> Outcome + Sync + 'a;
+/// Plans one of several things of a kind, along the path that was optimised for it where there is one.
+type Connect<'a, T> =
+    dyn Fn(&Run<'_>, &T, Option<&Waypoints>, &mut StepClock) -> Outcome + Sync + 'a;
+/// Optimises the paths of several things together, of those for which that can be.
+type Ahead<'a, T> = dyn Fn(&Run<'_>, &[T]) -> Result<Vec<Option<Waypoints>>, PlanError> + 'a;
+
+/// How things of a kind are planned.
+struct Work<'a, T> {
+    ahead: Option<&'a Ahead<'a, T>>,
+    connect: &'a Connect<'a, T>,
+}
+
+impl<'a, T> Work<'a, T> {
+    /// Nothing is done for several of them together.
+    fn one_by_one(connect: &'a Connect<'a, T>) -> Self {
+        Self { ahead: None, connect }
+    }
+}
 
 /// What became of a pair.
 enum Outcome {
@@ -325,7 +376,8 @@ impl<'a> Run<'a> {
         observer: &'a dyn Observer,
     ) -> Self {
         let (counts, stage_seconds, step_seconds) = Default::default();
-        Self { task, preparation, config, observer, counts, stage_seconds, step_seconds }
+        let device = None;
+        Self { task, preparation, config, observer, device, counts, stage_seconds, step_seconds }
     }
 
     /// Adds the counts and times of a run for a part of the task.
@@ -398,9 +450,9 @@ impl Run<'_> {
         items: &[T],
         limit: usize,
         found: &mut Found<'_>,
-        connect: &Connect<'_, T>,
+        work: &Work<'_, T>,
     ) -> Result<Vec<usize>, PlanError> {
-        self.stage(stage, |run| run.collect_in_batches(stage, items, limit, found, connect))
+        self.stage(stage, |run| run.collect_in_batches(stage, items, limit, found, work))
     }
 
     fn collect_in_batches<T: Sync>(
@@ -409,7 +461,7 @@ impl Run<'_> {
         items: &[T],
         limit: usize,
         found: &mut Found<'_>,
-        connect: &Connect<'_, T>,
+        work: &Work<'_, T>,
     ) -> Result<Vec<usize>, PlanError> {
         self.observer.event(&Event::StageStarted { stage, total: Some(limit as u64) });
         let Found { trajectories: accepted, notes } = found;
@@ -421,11 +473,16 @@ impl Run<'_> {
             if accepted.len() >= limit {
                 break;
             }
-            let clocked = |item: &T| {
-                let mut steps = StepClock::start();
-                (connect(self, item, &mut steps), steps)
+            let paths = match work.ahead {
+                Some(ahead) => ahead(self, batch)?,
+                None => vec![None; batch.len()],
             };
-            let outcomes: Vec<(Outcome, StepClock)> = batch.par_iter().map(clocked).collect();
+            let clocked = |(item, path): (&T, &Option<Waypoints>)| {
+                let mut steps = StepClock::start();
+                ((work.connect)(self, item, path.as_ref(), &mut steps), steps)
+            };
+            let outcomes: Vec<(Outcome, StepClock)> =
+                batch.par_iter().zip(&paths).map(clocked).collect();
             for ((outcome, steps), index) in outcomes.into_iter().zip(first..) {
                 self.count("pairs/tried", 1);
                 for (step, seconds) in steps.laps {
@@ -459,12 +516,74 @@ impl Run<'_> {
         Ok(indices)
     }
 
-    /// Optimises one pair and has the result judged.
+    /// Connects pairs, optimised in batches where there is a device.
+    #[allow(clippy::too_many_arguments)] // what is collected, and what with
+    fn collect_pairs(
+        &mut self,
+        stage: &str,
+        world: &World,
+        holds: &[Hold],
+        pairs: &[Pair],
+        limit: usize,
+        found: &mut Found<'_>,
+        judge: &JudgeFn<'_>,
+    ) -> Result<Vec<usize>, PlanError> {
+        let connect =
+            |run: &Run<'_>, pair: &Pair, path: Option<&Waypoints>, steps: &mut StepClock| {
+                run.connect(world, holds, pair, path, judge, steps)
+            };
+        let device = self.device;
+        let ahead = |run: &Run<'_>, batch: &[Pair]| match device {
+            Some(device) => run.optimised_on(device, world, holds, batch),
+            None => Ok(vec![None; batch.len()]),
+        };
+        let work = Work { ahead: Some(&ahead), connect: &connect };
+        self.collect(stage, pairs, limit, found, &work)
+    }
+
+    /// The optimised paths of the pairs that have an approach and a path to begin with.
+    fn optimised_on(
+        &self,
+        device: &Session<'_>,
+        world: &World,
+        holds: &[Hold],
+        pairs: &[Pair],
+    ) -> Result<Vec<Option<Waypoints>>, PlanError> {
+        let problems: Vec<Problem<'_>> =
+            pairs.iter().map(|pair| self.problem(world, &holds[pair.hold], self.config)).collect();
+        let straight = |(pair, problem): (&Pair, &Problem<'_>)| {
+            let hold = &holds[pair.hold];
+            if self.config.approach {
+                self.approach_to(world, hold, pair.hold, pair.start).ok()?;
+            }
+            problem.straight(&hold.starts[pair.start], &pair.goal)
+        };
+        let begun: Vec<Option<Waypoints>> = pairs.par_iter().zip(&problems).map(straight).collect();
+        let begun: Vec<(usize, Waypoints)> = begun
+            .into_iter()
+            .enumerate()
+            .filter_map(|(index, path)| Some((index, path?)))
+            .collect();
+        let (indices, paths): (Vec<usize>, Vec<Waypoints>) = begun.into_iter().unzip();
+        let chosen: Vec<&Problem<'_>> = indices.iter().map(|&index| &problems[index]).collect();
+        let optimised = device.optimise(&chosen, &paths)?;
+        let settled: Vec<Option<Waypoints>> = optimised
+            .into_par_iter()
+            .zip(chosen)
+            .map(|(mut path, problem)| problem.settle(&mut path).then_some(path))
+            .collect();
+        let mut out = vec![None; pairs.len()];
+        indices.into_iter().zip(settled).for_each(|(index, path)| out[index] = path);
+        Ok(out)
+    }
+
+    /// Optimises one pair, where `path` is not its optimised path already, and has the result judged.
     fn connect(
         &self,
         world: &World,
         holds: &[Hold],
         pair: &Pair,
+        path: Option<&Waypoints>,
         judge: &JudgeFn<'_>,
         steps: &mut StepClock,
     ) -> Outcome {
@@ -481,7 +600,11 @@ impl Run<'_> {
                 }
             }
         };
-        let mut leg = match self.leg(world, hold, self.config, start, &pair.goal, steps) {
+        let leg = match path {
+            Some(path) => self.leg_along(world, hold, self.config, path.clone(), steps),
+            None => self.leg(world, hold, self.config, start, &pair.goal, steps),
+        };
+        let mut leg = match leg {
             Ok(leg) => leg,
             Err((reason, detail)) => return Outcome::Failed(reason, detail),
         };
@@ -512,6 +635,20 @@ impl Run<'_> {
         let mut waypoints = problem.straight(start, goal).ok_or(fail("projection"))?;
         problem.optimise(&mut waypoints);
         steps.lap("optimise");
+        self.leg_along(world, hold, config, waypoints, steps)
+    }
+
+    /// What one grasp does along optimised waypoints: sampled densely, and checked.
+    fn leg_along<'h>(
+        &self,
+        world: &World,
+        hold: &'h Hold,
+        config: &PlannerConfig,
+        waypoints: Waypoints,
+        steps: &mut StepClock,
+    ) -> Result<Leg<'h>, (&'static str, String)> {
+        let fail = |reason| (reason, String::new());
+        let problem = self.problem(world, hold, config);
         let samples =
             dense::densify(&problem, &waypoints, config.substeps).ok_or(fail("dense_path"))?;
         let colliding = self.first_collision(&problem, &samples);
@@ -537,7 +674,7 @@ impl Run<'_> {
                 return Err(fail("base_yaw"));
             }
         }
-        let planned = start.len() - 1;
+        let planned = hold.kinematics.dof() - 1;
         let objects = samples.iter().map(|x| self.task.object.configuration(x[planned])).collect();
         let (transfer, release) = (None, None);
         Ok(Leg { grasp: &hold.grasp, transfer, waypoints, samples, objects, release })

@@ -386,16 +386,17 @@ fn batches_do_not_depend_on_the_number_of_threads() {
     let batch = |threads: usize, seed: u64, enough: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            ik::solve_batch(
-                &arm.kinematics,
-                &arm.tool,
-                &target,
-                &arm.region(),
+            let search = ik::Search {
+                kinematics: &arm.kinematics,
+                tool: &arm.tool,
+                target: &target,
+                region: &arm.region(),
                 seed,
-                Effort { seeds: 300, enough },
-                &|x| x[3] > -1.0,
-                &|x| x[4] < 1.0,
-            )
+                effort: Effort { seeds: 300, enough },
+                prefilter: &|x| x[3] > -1.0,
+                accept: &|x| x[4] < 1.0,
+            };
+            search.on_cpu()
         })
     };
     let one = batch(1, 5, usize::MAX);

@@ -32,7 +32,8 @@ pub fn plan(
     assets: Vec<PathBuf>,
     quiet: bool,
 ) -> PyResult<PyTrajectories> {
-    let request = PlanRequest { task, output, assets, seed, limit, threads, explain: false };
+    let request =
+        PlanRequest { task, output, assets, seed, limit, threads, ..PlanRequest::default() };
     let report = run(py, quiet, |context| pipeline::plan(&request, context))?;
     Ok(PyTrajectories::new(report.set))
 }

@@ -9,7 +9,7 @@ use serde_json::json;
 use akrobat_planner::plan::Explanation;
 
 use super::Report;
-use crate::pipeline::{self, Context, PlanReport, PlanRequest};
+use crate::pipeline::{self, Context, PlanBackend, PlanReport, PlanRequest};
 use crate::{Error, ExitCode};
 
 /// Plan trajectories for a task and write those that the independent judge accepts.
@@ -19,9 +19,10 @@ use crate::{Error, ExitCode};
 ///   akrobat plan drawer.toml -o drawer.h5 --limit 10         ten of them
 ///   akrobat plan drawer.toml -o drawer.h5 --assets ~/models  where meshes and URDFs are
 ///   akrobat plan drawer.toml -o drawer.h5 --explain          why there are none, or few
+///   akrobat plan drawer.toml -o drawer.h5 --backend wgpu     inverse kinematics and optimisation on the GPU
 ///
-/// The same task and seed give the same bytes, whatever the number of threads. Schema of task files:
-/// `akrobat schema task`.
+/// The same task and seed give the same bytes, whatever the number of threads, as long as the backend (and with wgpu the
+/// adapter) is the same. Schema of task files: `akrobat schema task`.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct PlanArgs {
@@ -40,6 +41,10 @@ pub struct PlanArgs {
     /// joint can be followed, and which constraint is closest to being met.
     #[arg(long)]
     explain: bool,
+    /// Where inverse kinematics and trajectory optimisation of doors, drawers and planar objects are computed. `auto` never
+    /// takes a software Vulkan driver, which is slower than the CPU's own kernels; `wgpu` does.
+    #[arg(long, value_enum, default_value_t)]
+    backend: PlanBackend,
     /// Number of threads; one for each core where absent.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -59,6 +64,7 @@ pub fn run(args: &PlanArgs, context: &Context<'_>) -> Result<Report, Error> {
         limit: args.limit,
         threads: args.threads,
         explain: args.explain,
+        backend: args.backend,
     };
     let report = pipeline::plan(&request, context)?;
     let accepted = report.set.trajectories.len();
@@ -67,6 +73,7 @@ pub fn run(args: &PlanArgs, context: &Context<'_>) -> Result<Report, Error> {
         json: json!({
             "output": (accepted > 0).then_some(&args.output),
             "accepted": accepted,
+            "backend": report.backend,
             "counts": report.counts,
             "stage_seconds": report.stage_seconds,
             "sphere_fits": report.sphere_fits,
@@ -83,6 +90,7 @@ fn text(args: &PlanArgs, report: &PlanReport) -> String {
         0 => format!("no trajectory was accepted; {} is not written", args.output.display()),
         _ => format!("{}: {accepted} accepted trajectories", args.output.display()),
     }];
+    lines.push(format!("backend: {}", report.backend));
     lines.push("counts".into());
     lines.extend(report.counts.iter().map(|(what, count)| format!("  {count:>9}  {what}")));
     lines.push("seconds".into());

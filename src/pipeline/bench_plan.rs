@@ -10,7 +10,7 @@ use akrobat_model::trajectory::Trajectory;
 use akrobat_model::{ModelError, TrajectorySet};
 use serde::{Deserialize, Serialize};
 
-use super::{Context, PlanRequest, plan};
+use super::{Context, PlanBackend, PlanRequest, plan};
 use crate::{Error, resources};
 
 /// The frozen set and what it names, relative to one folder.
@@ -265,6 +265,7 @@ fn run_problem(
             limit: Some(request.limit),
             threads: request.threads,
             explain: false,
+            backend: PlanBackend::Cpu,
         },
         context,
     )?;

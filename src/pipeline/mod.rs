@@ -31,7 +31,7 @@ pub use evaluate::{EvalJob, evaluate};
 pub use export::{ExportReport, ExportRequest, card, export};
 pub use import::{ImportReport, ImportRequest, import};
 pub use judge::{JudgeRequest, Judged, judge};
-pub use plan::{PlanReport, PlanRequest, plan};
+pub use plan::{PlanBackend, PlanReport, PlanRequest, plan};
 pub use planned::planned_task;
 use planned::selection;
 pub use render::{

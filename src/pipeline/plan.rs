@@ -12,10 +12,33 @@ use akrobat_packager::trajectory_file;
 use akrobat_planner::plan::Explanation;
 use akrobat_planner::spheres::SphereFit;
 use akrobat_planner::world::World;
-use akrobat_planner::{PlanError, PlannerConfig, Preparation};
+use akrobat_planner::{Backend, PlanError, PlannerConfig, Preparation};
 
 use super::{Context, check_writable, folder_of, on_threads};
 use crate::Error;
+
+/// Where batches are computed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum PlanBackend {
+    /// `wgpu` where there is a graphics processor, else `cpu`.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// The graphics processor, or a software Vulkan driver.
+    Wgpu,
+}
+
+impl PlanBackend {
+    fn open(self) -> Result<Backend, Error> {
+        let opened = match self {
+            Self::Auto => Backend::auto(),
+            Self::Cpu => Ok(Backend::Cpu),
+            Self::Wgpu => Backend::wgpu(),
+        };
+        opened.map_err(|error| Error::Failed(format!("{error}; `--backend cpu` needs no adapter")))
+    }
+}
 
 /// What is to be planned.
 #[derive(Debug, Clone, Default)]
@@ -34,6 +57,8 @@ pub struct PlanRequest {
     pub threads: Option<usize>,
     /// Find out what stops each stage as well.
     pub explain: bool,
+    /// Where inverse kinematics and trajectory optimisation are computed.
+    pub backend: PlanBackend,
 }
 
 /// What planning gave.
@@ -41,6 +66,8 @@ pub struct PlanRequest {
 pub struct PlanReport {
     /// The accepted trajectories. The task's folder is absolute here, and relative in the file.
     pub set: TrajectorySet,
+    /// What computed the batches.
+    pub backend: String,
     /// Counts by stage, and by reason of failure or rejection.
     pub counts: BTreeMap<String, u64>,
     /// Wall time by stage, seconds.
@@ -66,12 +93,14 @@ pub fn plan(request: &PlanRequest, context: &Context<'_>) -> Result<PlanReport, 
     }
     let search = context.asset_search(&request.assets)?;
     let (task, config) = load_task(request, &search)?;
+    let backend = request.backend.open()?;
     for note in task.object.notes.iter().chain(&task.scene.notes) {
         context.observer.event(&Event::Warning { message: note });
     }
     let observer = context.observer;
-    let mut report =
-        on_threads(request.threads, || plan_task(&task, &config, request.explain, observer))?;
+    let mut report = on_threads(request.threads, || {
+        plan_task(&backend, &task, &config, request.explain, observer)
+    })?;
     if let (Some(output), false) = (&request.output, report.set.trajectories.is_empty()) {
         report.set.header.task_dir = relative_folder(folder_of(output), folder_of(&request.task))?;
         trajectory_file::write(output, &report.set)?;
@@ -98,6 +127,7 @@ fn load_task(
 }
 
 fn plan_task(
+    backend: &Backend,
     task: &Task,
     config: &PlannerConfig,
     explain: bool,
@@ -107,8 +137,15 @@ fn plan_task(
     let (prepared, world) = rayon::join(|| prepare(task), || World::build(task, config));
     let ((preparation, judge), prepared_s) = (prepared?, began.elapsed().as_secs_f64());
     let judge_one = |trajectory: &_| judge.judge(trajectory);
-    let mut outcome =
-        akrobat_planner::plan(task, &preparation, &world, config, observer, &judge_one)?;
+    let mut outcome = akrobat_planner::plan_on(
+        backend,
+        task,
+        &preparation,
+        &world,
+        config,
+        observer,
+        &judge_one,
+    )?;
     outcome.stage_seconds.insert("spheres, distance field and judge".into(), prepared_s);
     let explanation = explain
         .then(|| akrobat_planner::plan::explain(task, &preparation, &world, config, observer))
@@ -116,6 +153,7 @@ fn plan_task(
     let loaded = task.object.notes.iter().chain(&task.scene.notes);
     Ok(PlanReport {
         set: outcome.set,
+        backend: backend.to_string(),
         counts: outcome.counts,
         stage_seconds: outcome.stage_seconds,
         step_seconds: outcome.step_seconds,
@@ -144,6 +182,7 @@ impl From<PlanError> for Error {
             PlanError::Model(error) => Self::Input(error),
             PlanError::Cancelled => Self::Interrupted("nothing was written".into()),
             PlanError::DifferentialBase { .. } => Self::Usage(error.to_string()),
+            PlanError::Device(error) => Self::Failed(error.to_string()),
         }
     }
 }

@@ -11,19 +11,19 @@ pub type Config = [f32; MAX_VARIABLES];
 
 /// A joint whose axis has been turned to z.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct CompiledJoint {
+pub(crate) struct CompiledJoint {
     /// Slot of the parent's frame.
-    pub(super) parent: usize,
+    pub(crate) parent: usize,
     /// `parent_from_joint`: columns of the rotation, then the translation.
-    pub(super) columns: [[f32; 3]; 4],
-    pub(super) motion: Motion,
+    pub(crate) columns: [[f32; 3]; 4],
+    pub(crate) motion: Motion,
 }
 
 /// World frames of eight configurations: columns x, y, z and translation.
 pub(super) type FrameRows = [[Row; 3]; 4];
 
 /// Compiles the joints of a tree, and tells by which rotation the axes of each node's frame have been turned.
-pub(super) fn compile(kinematics: &Kinematics) -> (Vec<CompiledJoint>, Vec<Matrix3<f64>>) {
+pub(crate) fn compile(kinematics: &Kinematics) -> (Vec<CompiledJoint>, Vec<Matrix3<f64>>) {
     let turned: Vec<Matrix3<f64>> =
         kinematics.nodes().iter().map(|node| turn_z_to(&node.axis)).collect();
     let joints = kinematics.nodes().iter().zip(&turned).map(|(node, turn)| {

@@ -17,15 +17,15 @@ use crate::ik::Tool;
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, Motion};
 
 /// Sum of the squared errors (m, rad) at which a seed has converged.
-const CONVERGED: f32 = 1e-8;
+pub(crate) const CONVERGED: f32 = 1e-8;
 /// Steps that a seed gets.
-const MAX_STEPS: u32 = 40;
+pub(crate) const MAX_STEPS: u32 = 40;
 /// Damping that stays when the error is gone.
-const LEAST_DAMPING: f32 = 1e-5;
+pub(crate) const LEAST_DAMPING: f32 = 1e-5;
 /// Share of the squared error in the damping.
-const DAMPING_PER_ERROR: f32 = 0.05;
+pub(crate) const DAMPING_PER_ERROR: f32 = 0.05;
 /// Longest step of a variable, rad or m.
-const LONGEST_STEP: f32 = 0.6;
+pub(crate) const LONGEST_STEP: f32 = 0.6;
 
 /// A robot's joints and its tool, compiled for [`BatchIk::solve`].
 #[derive(Debug, Clone)]

@@ -1,6 +1,6 @@
 //! Inner loops in lanes of eight numbers.
 
-mod chain;
+pub(crate) mod chain;
 pub mod ik;
 pub mod lanes;
 pub mod obstacles;

@@ -10,6 +10,7 @@ use akrobat_model::{JointKind, JointPath, KinematicTree, ModelError, Pose, free_
 use nalgebra::{Matrix2, Translation3, Unit, UnitQuaternion, Vector2, Vector3};
 
 use super::{JudgeFn, PlanError, PlanOutcome, Preparation, Run, plan_driven};
+use crate::backend::Backend;
 use crate::config::PlannerConfig;
 use crate::world::World;
 
@@ -175,6 +176,7 @@ fn planar_place(pose: &Pose, pole: &Vector2<f64>) -> Pose {
 
 /// Plans each goal of a planar task, with an equal share of the trajectories wanted.
 pub(super) fn plan_planar(
+    backend: &Backend,
     task: &Task,
     preparation: &Preparation,
     config: &PlannerConfig,
@@ -198,7 +200,8 @@ pub(super) fn plan_planar(
         let judge = |t: &Trajectory| judge(&screw.restored(task, &driven, &start, t));
         // What moves with the object hangs from this goal's joint.
         let world = World::build(&driven, &config);
-        let outcome = plan_driven(&driven, preparation, &world, &config, observer, &judge)?;
+        let outcome =
+            plan_driven(backend, &driven, preparation, &world, &config, observer, &judge)?;
         let accepted = outcome.set.trajectories.iter();
         trajectories.extend(accepted.map(|t| screw.restored(task, &driven, &start, t)));
         run.absorb(&outcome);

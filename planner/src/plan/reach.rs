@@ -11,7 +11,8 @@ use super::{Hold, LIMIT_MARGIN, PlanError, Run, stage_seed};
 use crate::akr::{self, Akr};
 use crate::closure::Closure;
 use crate::collision::{MovingCheck, RobotBody};
-use crate::ik::{self, Batch, Effort, SeedRegion, Tool};
+use crate::ik::{Batch, Effort, Search, SeedRegion, Tool};
+use crate::kernels::Config;
 use crate::kinematics::{Frame, Kinematics};
 use crate::world::{World, handle_center, outward};
 use crate::{cluster, grasp};
@@ -24,6 +25,8 @@ const SCREENING_SOLUTIONS: usize = 2;
 const SCREENING_TARGET: usize = 0xffff;
 /// Solutions that are clustered, for each cluster that is kept.
 const SOLUTIONS_PER_CLUSTER: usize = 4;
+/// Room for what single precision makes of a clearance, and for what polishing changes, metres.
+const DEVICE_ROUNDING_M: f64 = 1e-3;
 
 impl Run<'_> {
     /// The grasps that are used: the first, in order of diversity, that fit and are within reach at both
@@ -278,16 +281,21 @@ impl Run<'_> {
             let clearance = body.clearance(&frames, world, q, MovingCheck::NotTool, least);
             clearance.distance_m >= least
         };
-        Ok(ik::solve_batch(
-            &kinematics,
-            &tool,
-            &self.tool_target(grasp, q)?,
-            &self.seed_region(),
-            ik_seed(self.task, grasp, target_index),
+        let search = Search {
+            kinematics: &kinematics,
+            tool: &tool,
+            target: &self.tool_target(grasp, q)?,
+            region: &self.seed_region(),
+            seed: ik_seed(self.task, grasp, target_index),
             effort,
-            &prefilter,
-            &accept,
-        ))
+            prefilter: &prefilter,
+            accept: &accept,
+        };
+        let Some(device) = self.device else { return Ok(search.on_cpu()) };
+        let solve =
+            |seeds: &[Config]| device.solve_ik(&kinematics, &body, &tool, search.target, q, seeds);
+        let ahead = device.gpu().chunks_ahead();
+        Ok(search.on_device(solve, ahead, least - DEVICE_ROUNDING_M)?)
     }
 
     /// World frame of the tool that holds the object with its joint at `q`.

@@ -11,7 +11,7 @@ use akrobat_model::{KinematicTree, Link, Part, Pose, Robot, free_object, pose};
 use nalgebra::Vector3;
 
 use super::timeline::Leg;
-use super::{JudgeFn, Outcome, PlanError, PlanOutcome, Run, StepClock, stage_seed};
+use super::{JudgeFn, Outcome, PlanError, PlanOutcome, Run, StepClock, Work, stage_seed};
 use crate::akr;
 use crate::approach::{Approach, ApproachPlanner, STEP_S, Timed};
 use crate::cluster;
@@ -20,6 +20,7 @@ use crate::grasp;
 use crate::ik::{self, Effort, Tool};
 use crate::kinematics::{Frame, Kinematics};
 use crate::spheres::{self, Sphere, SphereModel};
+use crate::trajopt::Waypoints;
 use crate::world::{World, handle_center, outward};
 
 /// Heights that the object is lifted by, metres: the lowest that is free.
@@ -110,11 +111,12 @@ pub(super) fn plan_rigid(
     run.count("pairs", pairs.len());
     let (mut trajectories, mut notes) = (Vec::new(), Vec::new());
     let mut found = super::Found { trajectories: &mut trajectories, notes: &mut notes };
-    let connect = |run: &Run<'_>, pair: &RigidPair, steps: &mut StepClock| {
-        let hold = &holds[pair.hold];
-        connect(run, &start, &goals[pair.goal_index], hold, pair, judge, steps)
-    };
-    run.collect("carrying", &pairs, config.limit, &mut found, &connect)?;
+    let connect =
+        |run: &Run<'_>, pair: &RigidPair, _: Option<&Waypoints>, steps: &mut StepClock| {
+            let hold = &holds[pair.hold];
+            connect(run, &start, &goals[pair.goal_index], hold, pair, judge, steps)
+        };
+    run.collect("carrying", &pairs, config.limit, &mut found, &Work::one_by_one(&connect))?;
     Ok(run.outcome(trajectories, notes))
 }
 
