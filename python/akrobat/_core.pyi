@@ -157,6 +157,7 @@ def render(
     variation_seed: int,
     appearance: Path | None,
     supersampling: int,
+    detail: str,
     sensor: str,
     modalities: Sequence[str],
     cloud: str,

@@ -58,6 +58,7 @@ def render(
     variation_seed: int = 0,
     appearance: StrPath | None = None,
     supersampling: Literal[1, 3, 5] = 1,
+    detail: Literal["full", "auto"] = "full",
     sensor: StrPath = "ideal",
     modalities: Sequence[str] = ("rgb", "depth", "segmentation"),
     cloud: Mapping[str, Any] | None = None,
@@ -86,6 +87,8 @@ def render(
     :param appearance: JSON file of what an earlier run drew (`renderer.appearance` of an episode's
         provenance)
     :param supersampling: colour is the mean of this many samples along either edge of a pixel
+    :param detail: whether all triangles are drawn, or as many as hold every surface within a
+        millimetre
     :param sensor: what becomes of ideal images: the name of a preset or a sensor file (`akrobat
         schema sensor`)
     :param modalities: images in HDF5 shards
@@ -118,6 +121,7 @@ def render(
                 variation_seed=variation_seed,
                 appearance=appearance,
                 supersampling=supersampling,
+                detail=detail,
                 sensor=sensor,
                 modalities=modalities,
                 cloud=cloud,
@@ -146,6 +150,7 @@ def render(
         variation_seed=variation_seed,
         appearance=None if appearance is None else Path(appearance),
         supersampling=supersampling,
+        detail=detail,
         sensor=str(sensor),
         modalities=list(modalities),
         cloud=json.dumps(dict(cloud or {})),

@@ -40,7 +40,7 @@ pub fn plan(
 
 /// Renders a trajectory file; see `akrobat.render`.
 #[pyfunction]
-#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, sensor, modalities, cloud, seed, format, episodes, manipulation_only, states, storage, resume, threads, assets, quiet))]
+#[pyo3(signature = (trajectories, output, *, backend, rig, lighting, variation, variation_seed, appearance, supersampling, detail, sensor, modalities, cloud, seed, format, episodes, manipulation_only, states, storage, resume, threads, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn render<'py>(
     py: Python<'py>,
@@ -53,6 +53,7 @@ pub fn render<'py>(
     variation_seed: u64,
     appearance: Option<PathBuf>,
     supersampling: u32,
+    detail: &str,
     sensor: String,
     modalities: Vec<String>,
     cloud: &str,
@@ -80,6 +81,9 @@ pub fn render<'py>(
         supersampling: supersampling
             .try_into()
             .map_err(|message| InputError::new_err(format!("supersampling: {message}")))?,
+        detail: detail
+            .parse()
+            .map_err(|message| InputError::new_err(format!("detail: {message}")))?,
         sensor: Some(sensor),
         modalities: modalities.iter().map(|name| modality(name)).collect::<PyResult<_>>()?,
         cloud: serde_json::from_str(cloud)

@@ -7,6 +7,7 @@ pub mod appearance;
 pub mod backend;
 mod clusters;
 pub mod compare;
+pub mod detail;
 pub mod enclosure;
 pub mod error;
 mod front;
@@ -32,6 +33,7 @@ pub mod supersampling;
 
 pub use appearance::{Appearance, Variation};
 pub use backend::{Backend, PlacedCamera};
+pub use detail::Detail;
 pub use error::RenderError;
 pub use lighting::Lighting;
 pub use observe::{Episode, EpisodeConfig, EpisodeRenderer};

@@ -181,6 +181,17 @@ impl RenderScene {
         Self { lighting: lighting.in_world(&self.world_from_front), ..self.clone() }
     }
 
+    /// The same scene with other shapes of the same bodies.
+    pub(crate) fn with_bodies(&self, bodies: Arc<[RenderBody]>) -> Self {
+        Self {
+            bodies,
+            clusters: Arc::default(),
+            base: None,
+            body_spheres: Arc::default(),
+            ..self.clone()
+        }
+    }
+
     /// The same scene with more bodies, whose places are given by their indices; meshes that it has already are not
     /// prepared again.
     ///

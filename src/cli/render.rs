@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use akrobat_cameras::Modality;
 use akrobat_packager::{DatasetReader, StorageConfig};
-use akrobat_renderer::Supersampling;
 use akrobat_renderer::pointcloud::{CloudConfig, CloudFrame, CloudSampling};
+use akrobat_renderer::{Detail, Supersampling};
 use clap::{Args, ValueEnum};
 
 use super::{Report, workers};
@@ -64,6 +64,10 @@ pub struct RenderArgs {
     /// Smooth colours: the mean of N x N samples of each pixel. Depth and segmentation stay those of the pixel's centre.
     #[arg(long, value_name = "1|3|5", default_value_t)]
     supersampling: Supersampling,
+    /// Triangles that are drawn: all (full), or as many as hold every surface within a millimetre (auto), which takes less
+    /// time where meshes are finer than pixels.
+    #[arg(long, value_name = "full|auto", default_value_t)]
+    detail: Detail,
     /// What becomes of ideal images: the name of a preset (ideal, kinect, redwood, stereo, color) or a sensor
     /// file.
     #[arg(long, value_name = "PRESET|FILE", default_value = "ideal")]
@@ -206,6 +210,7 @@ pub fn run(args: &RenderArgs, context: &Context<'_>) -> Result<Report, Error> {
         variation_seed: args.variation_seed,
         appearance: args.appearance.clone(),
         supersampling: args.supersampling,
+        detail: args.detail,
         sensor: Some(args.sensor.clone()),
         modalities: args.modalities.clone(),
         cloud: args.cloud(),

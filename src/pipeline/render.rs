@@ -14,7 +14,7 @@ use akrobat_renderer::pointcloud::CloudConfig;
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::replay::Replay;
 use akrobat_renderer::{
-    Appearance, Backend, Episode, EpisodeConfig, EpisodeRenderer, Lighting, RenderError,
+    Appearance, Backend, Detail, Episode, EpisodeConfig, EpisodeRenderer, Lighting, RenderError,
     RenderScene, SoftBackend, Supersampling, Variation,
 };
 use schemars::JsonSchema;
@@ -99,6 +99,8 @@ pub struct RenderRequest {
     pub appearance: Option<PathBuf>,
     /// Colour is the mean of this many samples along either edge of a pixel: 1, 3 or 5.
     pub supersampling: Supersampling,
+    /// How many triangles are drawn.
+    pub detail: Detail,
     /// A sensor preset's name or a sensor file; `ideal` where absent.
     pub sensor: Option<String>,
     /// Images that are stored in HDF5 shards; colour, depth and segmentation where empty.
@@ -222,7 +224,8 @@ fn with_job<T: Send>(
         States::Simulated => simulated::replace_paths(&request.trajectories, &mut set)?,
     };
     let variant = Variant::load(request)?;
-    let source = Source::load(&request.trajectories, set, &request.assets, context)?;
+    let mut source = Source::load(&request.trajectories, set, &request.assets, context)?;
+    source.scene = request.detail.of(source.scene);
     variant.check_fits(&source)?;
     let backend = open_backend(request.backend, context)?;
     let backend = request.supersampling.over(backend);
@@ -573,6 +576,7 @@ impl Job<'_> {
                 "backend": self.backend,
                 "lighting": self.scene.lighting,
                 "supersampling": self.request.supersampling,
+                "detail": self.request.detail,
             },
             "states": self.request.states,
             "modalities": config.modalities,

@@ -12,7 +12,7 @@ use akrobat_cameras::Modality;
 use akrobat_model::ModelError;
 use akrobat_packager::{StorageConfig, trajectory_file};
 use akrobat_renderer::pointcloud::CloudConfig;
-use akrobat_renderer::{Backend, RenderScene, Supersampling};
+use akrobat_renderer::{Backend, Detail, RenderScene, Supersampling};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -59,6 +59,8 @@ pub struct RenderSettings {
     /// Colour is the mean of this many samples along either edge of a pixel: 1, 3 or 5.
     #[schemars(with = "u32")]
     pub supersampling: Supersampling,
+    /// How many triangles are drawn.
+    pub detail: Detail,
     /// Images that are stored in HDF5 shards; colour, depth and segmentation where empty.
     pub modalities: Vec<Modality>,
     /// Fused clouds.
@@ -187,7 +189,8 @@ pub fn run(request: &RunRequest, context: &Context<'_>) -> Result<RunReport, Err
             if selected.is_empty() {
                 continue;
             }
-            let source = Source::load(file, set, &job.asset_folders(request), context)?;
+            let mut source = Source::load(file, set, &job.asset_folders(request), context)?;
+            source.scene = job.render.detail.of(source.scene);
             for combination in &combinations {
                 combination.variant.check_fits(&source)?;
             }
@@ -283,6 +286,7 @@ impl JobFile {
                         rig: Some(place(rig)),
                         lighting: Some(place(lighting)),
                         supersampling: self.render.supersampling,
+                        detail: self.render.detail,
                         sensor: Some(place(sensor)),
                         format: self.render.format,
                         modalities: self.render.modalities.clone(),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use akrobat_assets::demo;
-use akrobat_cameras::Rig;
+use akrobat_cameras::{CameraFrame, Rig};
 use akrobat_gpu::AdapterChoice;
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::pose::from_xyz_wxyz;
@@ -16,7 +16,7 @@ use akrobat_renderer::placement::PlacedRig;
 use akrobat_renderer::pointcloud::{CloudConfig, CloudPlace, fuse};
 use akrobat_renderer::raster::WgpuBackend;
 use akrobat_renderer::replay::Replay;
-use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderScene, SoftBackend};
+use akrobat_renderer::{Backend, Detail, FrameState, PlacedCamera, RenderScene, SoftBackend};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -155,9 +155,52 @@ struct Measured {
     /// Wall time on one thread, and on all.
     wall_ms_per_image_one_thread: f64,
     wall_ms_per_image: f64,
+    /// The same where each image is asked for alone, so that all threads work on one.
+    wall_ms_alone_one_thread: f64,
+    wall_ms_alone: f64,
     threads: usize,
+    /// The scene with level of detail, and what all triangles make of the same images.
+    detail_auto: Reduced,
     /// Fusing three images into a cloud of 4,096 points.
     cpu_ms_per_cloud: f64,
+}
+
+/// What level of detail changes.
+#[derive(Debug, Serialize)]
+struct Reduced {
+    triangles: usize,
+    cpu_ms_per_image: f64,
+    /// Share of the pixels whose depths differ by at most 2 mm.
+    depth_within_2_mm: f64,
+}
+
+impl Reduced {
+    fn measure(workload: &Workload, repeats: u32) -> Result<Self, Error> {
+        const NEAR_ENOUGH_M: f32 = 0.002;
+        let scene = Detail::Auto.of(workload.scene.clone());
+        let (mut all, mut fewer) = (SoftBackend::new(), SoftBackend::new());
+        let (mut agreeing, mut compared) = (0, 0);
+        for (frame, cameras) in &workload.frames {
+            let expected = all.render(&workload.scene, frame, cameras)?;
+            let found = fewer.render(&scene, frame, cameras)?;
+            let depths = |images: Vec<CameraFrame>| images.into_iter().flat_map(|i| i.depth_m);
+            for (expected, found) in depths(expected).zip(depths(found)) {
+                agreeing += usize::from((expected - found).abs() <= NEAR_ENOUGH_M);
+                compared += 1;
+            }
+        }
+        let [cpu, _] = median_ms(repeats, || {
+            for (frame, cameras) in &workload.frames {
+                fewer.render(&scene, frame, cameras)?;
+            }
+            Ok(())
+        })?;
+        Ok(Self {
+            triangles: scene.triangle_count(),
+            cpu_ms_per_image: cpu / workload.image_count() as f64,
+            depth_within_2_mm: f64::from(agreeing as u32) / f64::from(compared as u32),
+        })
+    }
 }
 
 /// CPU and wall milliseconds of `work`, each the median over repeats.
@@ -196,6 +239,17 @@ fn measure(workload: &Workload, repeats: u32, context: &Context<'_>) -> Result<M
     let images = workload.image_count() as f64;
     let [cpu, wall] = median_ms(repeats, &mut render)?;
     let [cpu_one, wall_one] = one.install(|| median_ms(repeats, &mut render))?;
+    let mut alone = SoftBackend::new();
+    let mut render_alone = || {
+        for (frame, cameras) in &workload.frames {
+            for camera in cameras {
+                alone.render(&workload.scene, frame, std::slice::from_ref(camera))?;
+            }
+        }
+        Ok(())
+    };
+    let [_, wall_alone] = median_ms(repeats, &mut render_alone)?;
+    let [_, wall_alone_one] = one.install(|| median_ms(repeats, &mut render_alone))?;
     let clouds: Vec<_> = workload
         .frames
         .iter()
@@ -223,6 +277,9 @@ fn measure(workload: &Workload, repeats: u32, context: &Context<'_>) -> Result<M
         cpu_ms_per_image_one_thread: cpu_one / images,
         wall_ms_per_image_one_thread: wall_one / images,
         wall_ms_per_image: wall / images,
+        wall_ms_alone_one_thread: wall_alone_one / images,
+        wall_ms_alone: wall_alone / images,
+        detail_auto: Reduced::measure(workload, repeats)?,
         threads: rayon::current_num_threads(),
         cpu_ms_per_cloud: cloud_cpu / workload.frames.len() as f64,
     })
@@ -275,7 +332,7 @@ fn report(scenes: &[Measured], wgpu: Option<serde_json::Value>) -> Report {
         .iter()
         .map(|m| {
             format!(
-                "{} ({} triangles): {:.2} CPU-ms per image on {} threads, {:.2} on one; wall {:.2} and {:.2} ms; {:.1} CPU-ms per cloud",
+                "{} ({} triangles): {:.2} CPU-ms per image on {} threads, {:.2} on one; wall {:.2} and {:.2} ms, one image at a time {:.2} and {:.2} ms; {:.1} CPU-ms per cloud; {} triangles with level of detail, {:.2} CPU-ms, {:.2} % of the depths within 2 mm",
                 m.scene,
                 m.triangles,
                 m.cpu_ms_per_image,
@@ -283,7 +340,12 @@ fn report(scenes: &[Measured], wgpu: Option<serde_json::Value>) -> Report {
                 m.cpu_ms_per_image_one_thread,
                 m.wall_ms_per_image,
                 m.wall_ms_per_image_one_thread,
-                m.cpu_ms_per_cloud
+                m.wall_ms_alone,
+                m.wall_ms_alone_one_thread,
+                m.cpu_ms_per_cloud,
+                m.detail_auto.triangles,
+                m.detail_auto.cpu_ms_per_image,
+                100.0 * m.detail_auto.depth_within_2_mm
             )
         })
         .collect();
@@ -293,6 +355,7 @@ fn report(scenes: &[Measured], wgpu: Option<serde_json::Value>) -> Report {
             "triangles": m.triangles,
             "cpu_ms_per_image": m.cpu_ms_per_image,
             "cpu_ms_per_cloud": m.cpu_ms_per_cloud,
+            "cpu_ms_per_image_detail_auto": m.detail_auto.cpu_ms_per_image,
         })
     });
     if let Some(wgpu) = &wgpu {
