@@ -532,12 +532,11 @@ impl Run<'_> {
             |run: &Run<'_>, pair: &Pair, path: Option<&Waypoints>, steps: &mut StepClock| {
                 run.connect(world, holds, pair, path, judge, steps)
             };
-        let device = self.device;
-        let ahead = |run: &Run<'_>, batch: &[Pair]| match device {
-            Some(device) => run.optimised_on(device, world, holds, batch),
-            None => Ok(vec![None; batch.len()]),
-        };
-        let work = Work { ahead: Some(&ahead), connect: &connect };
+        let ahead = self.device.map(|device| {
+            move |run: &Run<'_>, batch: &[Pair]| run.optimised_on(device, world, holds, batch)
+        });
+        let ahead = ahead.as_ref().map(|ahead| ahead as &Ahead<'_, Pair>);
+        let work = Work { ahead, connect: &connect };
         self.collect(stage, pairs, limit, found, &work)
     }
 

@@ -3,9 +3,9 @@
 use akrobat_gpu::{GpuError, StorageBuffer, wgpu};
 use bytemuck::Zeroable;
 
-use super::layout::{Chain, Configuration, DeviceFrame, Problem};
+use super::layout::{Body, Chain, Configuration, DeviceFrame, Problem};
 use super::pipelines::Kernel;
-use super::{Session, body_on, run};
+use super::{Session, run};
 use crate::collision::RobotBody;
 use crate::ik::Tool;
 use crate::kernels::Config;
@@ -70,7 +70,7 @@ impl Session<'_> {
         kernels: &[Kernel],
     ) -> Result<Vec<Configuration>, GpuError> {
         let gpu = self.gpu;
-        let body = body.map(|body| body_on(body, chain));
+        let body = body.map(|body| Body::new(body, chain));
         let stage = self.stage(&chain.joints, body.as_ref())?;
         let problems = gpu.storage("problems", &[problem])?;
         let values = gpu.storage("configurations", configurations)?;

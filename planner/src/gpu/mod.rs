@@ -19,7 +19,6 @@ pub use ik::Reached;
 
 use self::layout::{Body, Joint, Scene};
 use self::pipelines::Pipelines;
-use crate::collision::RobotBody;
 use crate::world::World;
 
 /// An opened device with the planner's shaders.
@@ -126,9 +125,4 @@ fn run(
         }
     }
     gpu.context.queue().submit([encoder.finish()]);
-}
-
-/// A body's spheres, links and pairs on a chain.
-fn body_on(body: &RobotBody, chain: &layout::Chain) -> Body {
-    Body::new(body, chain)
 }

@@ -3,9 +3,9 @@
 use akrobat_gpu::{GpuError, StorageBuffer, wgpu};
 use bytemuck::Zeroable;
 
-use super::layout::{self, Chain, DeviceFrame, Reduced, Settings, Waypoint};
+use super::layout::{self, Body, Chain, DeviceFrame, Reduced, Settings, Waypoint};
 use super::pipelines::Kernel;
-use super::{Session, body_on, run};
+use super::{Session, run};
 use crate::collision::Penalty;
 use crate::kinematics::MAX_VARIABLES;
 use crate::trajopt::{CLEARANCE_WEIGHTS, Problem, Waypoints};
@@ -96,7 +96,7 @@ impl Session<'_> {
         let gpu = self.gpu;
         let (first, length) = (problems[0], paths[0].len());
         assert!(paths.iter().all(|path| path.len() == length), "paths differ in length");
-        let body = body_on(first.body, &Chain::new(first.kinematics));
+        let body = Body::new(first.body, &Chain::new(first.kinematics));
         let mut joints = Vec::new();
         let states: Vec<layout::Problem> =
             problems.iter().map(|problem| state(problem, &mut joints)).collect();
