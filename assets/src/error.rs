@@ -36,6 +36,25 @@ pub enum AssetError {
         /// The value in question, metres.
         value: f64,
     },
+    /// A parameter that a class of objects does not have.
+    #[error("{class}: has no {parameter} to choose")]
+    NotApplicable {
+        /// The class.
+        class: &'static str,
+        /// The parameter.
+        parameter: &'static str,
+    },
+    /// No attempt at a scene passed its checks.
+    #[error("scene of seed {seed}: no attempt passed the checks; the last one failed by {reason}")]
+    Scene {
+        /// The seed.
+        seed: u64,
+        /// What the last attempt failed by.
+        reason: String,
+    },
+    /// A manifest could not be expressed as JSON.
+    #[error("cannot write a manifest: {0}")]
+    Manifest(serde_json::Error),
 }
 
 impl AssetError {

@@ -8,7 +8,7 @@ use akrobat_model::Pose;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::appliances::{Appliance, BaseCabinet, DrawerUnit, HingeSide, Microwave, Refrigerator};
+use crate::appliances::{Appliance, Cabinet, DrawerUnit, HingeSide, Microwave, Refrigerator};
 use crate::description::{CollisionBox, Description, JointDescription, LinkDescription};
 use crate::error::AssetError;
 use crate::finish::Palette;
@@ -89,7 +89,7 @@ fn openables(rng: &mut ChaCha8Rng, palette: &Palette) -> Result<Vec<Openable>, A
         handle: HandleStyle::Bar { spacing_m: 0.128, diameter_m: 0.012, clearance_m: 0.035 },
         ..Microwave::default()
     };
-    let cabinet = BaseCabinet { hinge_side, handle: style, ..BaseCabinet::default() };
+    let cabinet = Cabinet { hinge_side, handle: style, ..Cabinet::default() };
     let drawers = DrawerUnit { handle: style, ..DrawerUnit::default() };
     // The microwave's door swings clear of the worktop's front edge.
     let microwave_x = back_x() + WORKTOP_DEPTH_M - 0.04 - microwave.depth_m;
@@ -195,17 +195,17 @@ impl SceneBuilder {
     fn add_units(&mut self, palette: &Palette) -> Result<(), AssetError> {
         let refrigerator = Refrigerator::default().build("refrigerator", palette)?;
         self.add_static("refrigerator", &refrigerator, [back_x(), unit_y(0), 0.0]);
-        let cabinet = BaseCabinet::default().build("base_cabinet", palette)?;
+        let cabinet = Cabinet::default().build("base_cabinet", palette)?;
         for unit in [1, 3, 5, 6] {
             let name = format!("base_cabinet_{unit}");
             self.add_static(&name, &cabinet, [back_x(), unit_y(unit), 0.0]);
         }
-        let wall_cabinet = BaseCabinet {
+        let wall_cabinet = Cabinet {
             depth_m: 0.33,
             height_m: 0.72,
             plinth_m: 0.03,
             handle: HandleStyle::KNOB,
-            ..BaseCabinet::default()
+            ..Cabinet::default()
         }
         .build("wall_cabinet", palette)?;
         for unit in [1, 4, 6] {
@@ -364,7 +364,7 @@ fn chair(name: &str, palette: &Palette) -> LinkDescription {
 }
 
 /// All links of a closed appliance as one rigid body.
-fn flattened(description: &Description, name: &str) -> LinkDescription {
+pub(crate) fn flattened(description: &Description, name: &str) -> LinkDescription {
     let mut body = LinkDescription::new(name, 0.0);
     for link in &description.links {
         let [x, y, z] = offset_from_root(description, &link.name);

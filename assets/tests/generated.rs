@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use akrobat_assets::appliances::{
-    Appliance, BaseCabinet, Dishwasher, DrawerUnit, HingeSide, Microwave, Oven, Refrigerator,
+    Appliance, Cabinet, Dishwasher, DrawerUnit, HingeSide, Microwave, Oven, Refrigerator,
 };
 use akrobat_assets::description::{CollisionBox, Description};
 use akrobat_assets::handle::{HandleStyle, Orientation, handle_link};
@@ -30,7 +30,7 @@ fn appliances() -> Vec<Appliance> {
     let mut all = Vec::new();
     for handle in STYLES {
         for hinge_side in [HingeSide::Left, HingeSide::Right] {
-            let cabinet = BaseCabinet { handle, hinge_side, ..BaseCabinet::default() };
+            let cabinet = Cabinet { handle, hinge_side, ..Cabinet::default() };
             let refrigerator = Refrigerator { handle, hinge_side, ..Refrigerator::default() };
             all.push(cabinet.build("base_cabinet", &palette));
             all.push(refrigerator.build("refrigerator", &palette));
@@ -182,7 +182,7 @@ fn joints_sweep_without_self_intersection() {
 
 #[test]
 fn a_hinge_in_the_wrong_place_is_noticed() {
-    let mut cabinet = BaseCabinet::default().build("base_cabinet", &palette()).unwrap();
+    let mut cabinet = Cabinet::default().build("base_cabinet", &palette()).unwrap();
     cabinet.description.joints[0].origin[0] -= 0.05;
     assert!(deepest_penetration(&cabinet.description, &cabinet.joint) > 0.005);
 }
@@ -254,9 +254,9 @@ fn collision_boxes_cover_the_handles_without_swelling_them() {
 
 #[test]
 fn impossible_dimensions_are_refused_in_words() {
-    let flat = BaseCabinet { height_m: 0.2, ..BaseCabinet::default() };
+    let flat = Cabinet { height_m: 0.2, ..Cabinet::default() };
     let error = flat.build("flat", &palette()).unwrap_err().to_string();
-    assert_eq!(error, "base cabinet height: expected plinth + 0.3 to 2.4 m, got 0.2");
+    assert_eq!(error, "cabinet height: expected plinth + 0.3 to 2.4 m, got 0.2");
     let nan = Oven { width_m: f64::NAN, ..Oven::default() };
     assert!(nan.build("nan", &palette()).is_err());
 }

@@ -5,6 +5,7 @@ mod demo;
 mod eval;
 mod export;
 mod filter;
+mod generate;
 mod import;
 mod inspect;
 mod merge;
@@ -49,6 +50,7 @@ struct Cli {
 enum Command {
     Bench(bench::BenchArgs),
     Demo(demo::DemoArgs),
+    Generate(generate::GenerateArgs),
     Plan(plan::PlanArgs),
     Render(Box<render::RenderArgs>),
     Replay(replay::ReplayArgs),
@@ -113,6 +115,7 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
     match command {
         Command::Bench(args) => bench::run(args, context),
         Command::Demo(args) => demo::run(args, context),
+        Command::Generate(args) => generate::run(args, context),
         Command::Plan(args) => plan::run(args, context),
         Command::Render(args) => render::run(args, context),
         Command::Replay(args) => replay::run(args, context),

@@ -222,6 +222,11 @@ fn entry(output: &Path, task: &DemoTask) -> IndexEntry {
 
 impl From<AssetError> for Error {
     fn from(error: AssetError) -> Self {
-        Self::Failed(error.to_string())
+        match error {
+            AssetError::Dimension { .. } | AssetError::NotApplicable { .. } => {
+                Self::Usage(error.to_string())
+            }
+            _ => Self::Failed(error.to_string()),
+        }
     }
 }

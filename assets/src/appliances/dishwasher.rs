@@ -88,7 +88,7 @@ impl Dishwasher {
         let (handle_link, handle_joint) = mounted_handle(
             "handle",
             "door",
-            [0.0, 0.0, door.panel_height() - 0.06],
+            [0.0, 0.0, door.panel_height() - self.handle.edge_inset_m(0.06)],
             self.handle,
             Orientation::Horizontal,
             &palette.handle,
@@ -103,6 +103,7 @@ impl Dishwasher {
             handle_link: "handle".into(),
             goals: DOOR_GOALS.into(),
             size: [self.depth_m + REVEAL_M + Self::DOOR_M, self.width_m, self.height_m],
+            grasps: self.handle.grasps(Orientation::Horizontal),
         })
     }
 }

@@ -107,6 +107,7 @@ impl DrawerUnit {
             handle_link: format!("handle_{}", self.opened),
             goals: [0.72, 0.8, 0.9, 0.98].iter().map(|share| share * travel).collect(),
             size: [self.depth_m + REVEAL_M + Self::BOARD_M, self.width_m, self.height_m],
+            grasps: self.handle.grasps(Orientation::Horizontal),
         })
     }
 

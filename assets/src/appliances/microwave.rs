@@ -55,6 +55,7 @@ impl Microwave {
         check("microwave control panel", self.controls_m, 0.06..=0.2, "0.06 to 0.2 m")?;
         let door_width = self.width_m - self.controls_m;
         let door = SideDoor {
+            name: "door",
             side: HingeSide::Left,
             width: door_width,
             middle_y: -self.controls_m / 2.0,
@@ -73,7 +74,11 @@ impl Microwave {
             [0.0005, across[0].max(across[1]), door.panel_height() - 0.045],
         );
         door_link.add_visual("window", &palette.glass, vec![window]);
-        let foot = [0.0, door.inward_y(door.panel_width() - 0.04), door.panel_height() / 2.0];
+        let foot = [
+            0.0,
+            door.inward_y(door.panel_width() - self.handle.edge_inset_m(0.04)),
+            door.panel_height() / 2.0,
+        ];
         let (handle_link, handle_joint) = mounted_handle(
             "handle",
             "door",
@@ -92,6 +97,7 @@ impl Microwave {
             handle_link: "handle".into(),
             goals: DOOR_GOALS.into(),
             size: [self.depth_m, self.width_m, self.height_m],
+            grasps: self.handle.grasps(Orientation::Vertical),
         })
     }
 

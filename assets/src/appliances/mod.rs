@@ -5,23 +5,31 @@
 //! `drawer_<n>`, and `handle`. Closed fronts are flush; a reveal of 1.5 mm stays around each.
 //!
 //! Sizes follow the co-ordinating sizes of kitchen furniture (EN 1116, ISO 3055: widths in steps of
-//! 100 mm, depth 600 mm, worktop at 900 mm) and the housings that fit them.
+//! 100 mm, depth 600 mm, worktop at 900 mm) and the housings that fit them. Doors between rooms follow
+//! DIN 18101 (leaf 860 x 1985 mm, lever at 1050 mm).
 
-mod base_cabinet;
+mod cabinet;
 mod dishwasher;
 mod drawer_unit;
 mod microwave;
 mod oven;
 mod parts;
 mod refrigerator;
+mod room_door;
+mod trash_can;
 
-pub use base_cabinet::BaseCabinet;
+pub use cabinet::Cabinet;
 pub use dishwasher::Dishwasher;
 pub use drawer_unit::DrawerUnit;
 pub use microwave::Microwave;
 pub use oven::Oven;
 pub use parts::HingeSide;
+pub(crate) use parts::check;
 pub use refrigerator::Refrigerator;
+pub use room_door::RoomDoor;
+pub use trash_can::TrashCan;
+
+use akrobat_model::Pose;
 
 use crate::description::Description;
 
@@ -38,4 +46,6 @@ pub struct Appliance {
     pub goals: Vec<f64>,
     /// Depth (without handles), width and height, metres.
     pub size: [f64; 3],
+    /// Tool poses in the handle link's frame, the best first; see [`crate::grasp`].
+    pub grasps: Vec<Pose>,
 }

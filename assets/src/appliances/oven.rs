@@ -107,7 +107,7 @@ impl Oven {
         let (handle_link, handle_joint) = mounted_handle(
             "handle",
             "door",
-            [0.0, 0.0, door.panel_height() - 0.055],
+            [0.0, 0.0, door.panel_height() - self.handle.edge_inset_m(0.055)],
             self.handle,
             Orientation::Horizontal,
             &palette.handle,
@@ -122,6 +122,7 @@ impl Oven {
             handle_link: "handle".into(),
             goals: DOOR_GOALS.into(),
             size: [front, self.width_m, self.height_m],
+            grasps: self.handle.grasps(Orientation::Horizontal),
         })
     }
 }

@@ -34,7 +34,7 @@ impl HingeSide {
 }
 
 /// Refuses a dimension outside `range` (metres).
-pub(super) fn check(
+pub(crate) fn check(
     what: &'static str,
     value: f64,
     range: std::ops::RangeInclusive<f64>,
@@ -139,6 +139,8 @@ pub(super) fn mounted_handle(
 /// A side-hinged door. Its frame lies on the hinge axis, in the lower front corner of the hinges' side:
 /// turning about that corner keeps the door clear of the carcass behind and of neighbours beside.
 pub(super) struct SideDoor<'a> {
+    /// Name of its link; its joint is `<name>_hinge`.
+    pub name: &'a str,
     pub side: HingeSide,
     /// Outer width of the front that it closes, with the reveal.
     pub width: f64,
@@ -176,7 +178,7 @@ impl SideDoor<'_> {
     }
 
     pub fn build(&self) -> (LinkDescription, JointDescription) {
-        let mut link = LinkDescription::new("door", self.mass_kg);
+        let mut link = LinkDescription::new(self.name, self.mass_kg);
         let (near, far) = (0.0, self.inward_y(self.panel_width()));
         link.add_box(
             "panel",
@@ -187,7 +189,7 @@ impl SideDoor<'_> {
         let hinge_y = self.middle_y + self.side.sign() * (self.width / 2.0 - REVEAL_M);
         let origin = [self.front_x(), hinge_y, self.z[0] + REVEAL_M];
         let axis = Vector3::z() * self.side.sign();
-        (link, hinge("door_hinge", "door", origin, axis, self.upper))
+        (link, hinge(&format!("{}_hinge", self.name), self.name, origin, axis, self.upper))
     }
 }
 

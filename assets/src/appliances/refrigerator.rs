@@ -76,6 +76,7 @@ impl Refrigerator {
             );
         }
         let door = SideDoor {
+            name: "door",
             side: self.hinge_side,
             width: self.width_m,
             middle_y: 0.0,
@@ -92,7 +93,7 @@ impl Refrigerator {
         let (handle_link, handle_joint) = mounted_handle(
             "handle",
             "door",
-            [0.0, door.inward_y(door.panel_width() - 0.05), grip_z],
+            [0.0, door.inward_y(door.panel_width() - self.handle.edge_inset_m(0.05)), grip_z],
             self.handle,
             Orientation::Vertical,
             &palette.handle,
@@ -107,6 +108,7 @@ impl Refrigerator {
             handle_link: "handle".into(),
             goals: DOOR_GOALS.into(),
             size: [door.front_x(), self.width_m, self.height_m],
+            grasps: self.handle.grasps(Orientation::Vertical),
         })
     }
 }
