@@ -9,7 +9,7 @@ mod common;
 
 use std::sync::OnceLock;
 
-use akrobat_gpu::{AdapterChoice, AdapterKind, adapters};
+use akrobat_gpu::{AdapterKind, adapters};
 use akrobat_judge::{Judge, JudgeConfig, RobotSphere};
 use akrobat_model::events::Silent;
 use akrobat_model::task::Task;
@@ -53,9 +53,21 @@ struct Bench {
     kinematics: Kinematics,
     body: RobotBody,
     tool: Tool,
-    gpu: Gpu,
     /// Planned on the CPU.
     outcome: PlanOutcome,
+}
+
+/// Opened once: software drivers take long to compile the shaders.
+fn backend() -> &'static Backend {
+    static BACKEND: OnceLock<Backend> = OnceLock::new();
+    BACKEND.get_or_init(|| Backend::wgpu().unwrap_or_else(|error| panic!("{error}")))
+}
+
+fn gpu() -> &'static Gpu {
+    match backend() {
+        Backend::Wgpu(gpu) => gpu,
+        Backend::Cpu => panic!("the CPU was opened"),
+    }
 }
 
 /// What slides and what turns; nothing where the shared inputs are absent.
@@ -84,19 +96,7 @@ fn benches() -> &'static [Bench] {
             Judge::new(&task, &judged, &preparation.exceptions, JudgeConfig::default()).unwrap();
         let outcome =
             plan(&task, &preparation, &world, &config, &Silent, &|t| judge.judge(t)).unwrap();
-        let gpu = Gpu::open(&AdapterChoice::Any).unwrap_or_else(|error| panic!("{error}"));
-        Some(Bench {
-            task,
-            preparation,
-            judge,
-            config,
-            world,
-            kinematics,
-            body,
-            tool,
-            gpu,
-            outcome,
-        })
+        Some(Bench { task, preparation, judge, config, world, kinematics, body, tool, outcome })
     };
     BENCHES.get_or_init(|| TASKS.iter().filter_map(build).collect())
 }
@@ -251,7 +251,7 @@ impl Kernels for Spoiled {
 fn on_each(test: impl Fn(&'static Bench, &dyn Kernels) -> Result<(), String>) {
     for bench in benches() {
         let name = &bench.task.file.name;
-        let device = Device(bench, bench.gpu.session(&bench.world).unwrap());
+        let device = Device(bench, gpu().session(&bench.world).unwrap());
         test(bench, &Cpu(bench)).unwrap_or_else(|what| panic!("{name}, CPU: {what}"));
         test(bench, &device).unwrap_or_else(|what| panic!("{name}, device: {what}"));
         test(bench, &Spoiled(Cpu(bench))).expect_err("what is wrong was not told");
@@ -281,7 +281,7 @@ fn every_shader_has_a_twin() {
 fn a_software_adapter_is_taken_on_request_only() {
     let hardware = adapters().iter().any(|a| a.kind != AdapterKind::Software);
     assert_eq!(matches!(Backend::auto().unwrap(), Backend::Wgpu(_)), hardware);
-    assert!(Backend::wgpu().unwrap().to_string().starts_with("wgpu: "));
+    assert!(backend().to_string().starts_with("wgpu: "));
 }
 
 #[test]
@@ -511,12 +511,11 @@ fn optimised_paths_are_as_good() {
 
 #[test]
 fn a_plan_on_the_device_is_as_good_as_one_on_the_cpu() {
-    let backend = Backend::wgpu().unwrap();
     for (index, bench) in benches().iter().enumerate() {
         let Bench { task, preparation, world, config, judge, outcome, .. } = bench;
         let judge_one = |t: &_| judge.judge(t);
         let planned =
-            || plan_on(&backend, task, preparation, world, config, &Silent, &judge_one).unwrap();
+            || plan_on(backend(), task, preparation, world, config, &Silent, &judge_one).unwrap();
         let found = planned();
         let wanted = &outcome.set.trajectories;
         let trajectories = &found.set.trajectories;
