@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 # The HDF5 library's build needs a CMake that not every distribution has: it finds the one in .venv.
 export PATH := $(VENV)/bin:$(PATH)
 
-.PHONY: build demo test test-faults test-readers lint format schema clean
+.PHONY: build demo test test-faults test-readers test-maniskill lint format schema clean
 
 # Installs the command and the Python package into .venv.
 build: $(VENV)/.tools
@@ -54,6 +54,17 @@ test-readers: build
 	$(READERS)/bin/pip install --quiet --disable-pip-version-check --no-deps lerobot-doctor==0.2.0 robomimic==0.3.0
 	$(VENV)/bin/python tests/readers/make_exports.py $(EXPORTS)
 	AKROBAT_EXPORTS=$(EXPORTS) HF_HUB_OFFLINE=1 $(READERS)/bin/python -m pytest tests/readers
+
+# ManiSkill's own tools, unmodified, replay an export, and the first policy is trained a little and tried: 6.5 GB of
+# packages (PyTorch brings its CUDA libraries), so not part of `make test`.
+MANISKILL := $(CURDIR)/.cache/maniskill
+test-maniskill: build
+	test -x $(MANISKILL)/bin/python || $(PYTHON) -m venv $(MANISKILL)
+	$(MANISKILL)/bin/pip install --quiet --disable-pip-version-check 'pytest>=8' 'example-robot-data>=4.2' \
+	    "$$(echo $(WHEELS)/*.whl)[maniskill,physics,policy]"
+	$(MANISKILL)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	environment="$$(scripts/vulkan.sh)" && eval "$$environment" && \
+	    $(MANISKILL)/bin/python -m pytest tests/maniskill
 
 lint: $(VENV)/.tools
 	cargo fmt --all --check

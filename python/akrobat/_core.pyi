@@ -122,14 +122,22 @@ class Observer:
         self,
         task: Task,
         rig: str,
-        cloud_points: int,
+        cloud: str,
         robot: Sequence[float],
         goal: float,
         link_from_handle: Sequence[float],
     ) -> None:
-        """Mounts a rig for a robot at `robot` while the driven joint moves to `goal`."""
+        """Mounts a rig (name, file or JSON) for a robot at `robot` while the driven joint moves to
+        `goal`; `cloud` is the configuration of clouds, JSON."""
     def observe(self, robot: Sequence[float], object: Sequence[float]) -> dict[str, Any]:
         """What is seen: `cameras` by name and `cloud` `[N, 6]`."""
+    def bodies(self) -> list[dict[str, Any]]:
+        """What there is to draw: dictionaries like `akrobat.sapien_backend.Body`."""
+    def lighting(self) -> dict[str, Any]:
+        """The light: a dictionary like `akrobat.sapien_backend.Lighting`."""
+    def place(self, robot: Sequence[float], object: Sequence[float]) -> dict[str, Any]:
+        """Where everything is: `world_from_body` `[bodies, 7]` and `cameras` by name with their
+        intrinsics and `world_from_camera` `[7]`."""
 
 def physics_config(values: dict[str, Any]) -> dict[str, Any]:
     """The settings of a replay: the defaults with some values replaced."""

@@ -84,6 +84,7 @@ class Evaluation:
         require_sapien()
         self._job = job
         self._output = Path(job["output"])
+        eyes = policy_eyes(job["policy"], job["rig"], job["cloud_points"])
         _prepare(self._output)
         from akrobat.env import OpenObjectEnv
 
@@ -91,9 +92,8 @@ class Evaluation:
             job["tasks"],
             trajectories=job["trajectories"],
             split=job["split"],
-            rig=job["rig"],
-            cloud_points=job["cloud_points"],
             assets=job["assets"],
+            **eyes,
             render_mode="rgb_array" if job["videos"] else None,
         )
         self._policy = make_policy(job["policy"], self._env)
@@ -116,6 +116,10 @@ class Evaluation:
         """Writes the summary and its plot."""
         summary = summarize(self._rows)
         summary["policy"] = self._job["policy"]
+        if _is_folder(self._job["policy"]):
+            from akrobat.policy.folder import describe
+
+            summary["trajectories"] = describe(Path(self._job["policy"]))["trajectories"]
         summary["seed"] = self._job["seed"]
         _write_whole(self._output / "summary.json", json.dumps(summary, indent=2) + "\n")
         _write_whole(self._output / "summary.svg", plot(summary))
@@ -167,8 +171,35 @@ class Evaluation:
         write_video(self._output / name, frames, 15)
 
 
+def policy_eyes(policy: str, rig: str | None, cloud_points: int) -> dict[str, Any]:
+    """Cameras and cloud of the environment: those that were asked for, else those that a trained
+    policy's data had."""
+    if rig is None and _is_folder(policy):
+        from akrobat.policy.folder import describe
+
+        description = describe(Path(policy))
+        cloud = {name: value for name, value in description["cloud"].items() if name != "points"}
+        points = description["cloud"].get("points", 0)
+        if points:
+            rig = json.dumps(description["rig"])
+            return {"rig": rig, "cloud_points": points, "cloud": cloud}
+    return {"rig": rig, "cloud_points": cloud_points}
+
+
+def _is_folder(policy: str) -> bool:
+    return (Path(policy) / "policy.json").is_file()
+
+
 def make_policy(name: str, env: Any) -> Policy:
     """A policy by its name on the command line."""
+    if _is_folder(name):
+        try:
+            from akrobat.policy.rollout import LearnedPolicy
+        except ImportError as error:
+            raise RunError(
+                f"{name}: learned policies need {error.name}: pip install 'akrobat[policy]'"
+            ) from error
+        return LearnedPolicy(Path(name), env)
     if name == "replay":
         return ReplayPolicy(env)
     if name == "random":
@@ -178,7 +209,8 @@ def make_policy(name: str, env: Any) -> Policy:
     module_name, separator, attribute = name.partition(":")
     if not separator or not attribute:
         raise InputError(
-            f'policy: unknown "{name}"; valid choices: replay, random, hold, module:attribute'
+            f'policy: unknown "{name}"; valid choices: replay, random, hold, module:attribute, '
+            "or the folder of a trained policy"
         )
     sys.path.insert(0, os.getcwd())
     try:

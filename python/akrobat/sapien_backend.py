@@ -117,8 +117,8 @@ class SapienRenderer:
             ) from error
         self._scene = sapien.Scene([self._system])
         self._background = np.asarray(lighting["background_rgb"], np.uint8)
-        self._light(lighting)
-        self._bodies = [self._add_body(body) for body in bodies]
+        add_lighting(self._scene, lighting)
+        self._bodies = [add_body(self._scene, body) for body in bodies]
         self._cameras = [self._add_camera(camera) for camera in cameras]
         self._planes = [(camera["near_m"], camera["far_m"]) for camera in cameras]
         self._segment_of_entity = self._segment_table(bodies)
@@ -137,77 +137,15 @@ class SapienRenderer:
         images = [_empty_images(frames, camera) for camera in self._cameras]
         for frame in range(frames):
             for entity, pose in zip(self._bodies, world_from_body[frame], strict=True):
-                entity.set_pose(self._pose(pose))
+                entity.set_pose(sapien_pose(pose))
             for camera, pose in zip(self._cameras, world_from_camera[frame], strict=True):
-                turn = self._sapien.Pose([0.0, 0.0, 0.0], list(CAMERA_FROM_SAPIEN_CAMERA))
-                camera.entity.set_pose(self._pose(pose) * turn)
+                camera.entity.set_pose(camera_pose(pose))
             self._scene.update_render()
             for index, camera in enumerate(self._cameras):
                 camera.take_picture()
                 rgb, depth, segment = images[index]
                 self._read(camera, self._planes[index], rgb[frame], depth[frame], segment[frame])
         return images
-
-    def _pose(self, pose: NDArray[np.float64]) -> Any:
-        return self._sapien.Pose(pose[:3].astype(np.float32), pose[3:].astype(np.float32))
-
-    def _light(self, lighting: Lighting) -> None:
-        # SAPIEN's ambient light has no direction: a horizontal surface's share of sky and ground.
-        sky, ground = np.asarray(lighting["sky_rgb"]), np.asarray(lighting["ground_rgb"])
-        self._scene.set_ambient_light(list(0.5 * (sky + ground)))
-        for light in lighting["lights"]:
-            self._add_light(light)
-
-    def _add_light(self, light: Light) -> None:
-        # SAPIEN divides diffuse reflection by pi (radiometric units), the shared model does not.
-        color = [math.pi * component for component in light["rgb"]]
-        shadow = light["shadow"]
-        if light["kind"] == "directional":
-            direction = [-component for component in light["direction"]]
-            self._scene.add_directional_light(direction, color, shadow=shadow)
-        elif light["kind"] == "point":
-            self._scene.add_point_light(light["position"], color, shadow=shadow)
-        else:
-            position = np.asarray(light["position"])
-            # SAPIEN's angles are those of the whole cone.
-            self._scene.add_spot_light(
-                position,
-                np.asarray(light["target"]) - position,
-                math.radians(2.0 * light["inner_deg"]),
-                math.radians(2.0 * light["outer_deg"]),
-                color,
-                shadow=shadow,
-            )
-
-    def _add_body(self, body: Body) -> Any:
-        component = self._sapien.render.RenderBodyComponent()
-        for mesh in body["meshes"]:
-            component.attach(self._shape(mesh))
-        entity = self._sapien.Entity()
-        entity.set_name(body["name"])
-        entity.add_component(component)
-        self._scene.add_entity(entity)
-        return entity
-
-    def _shape(self, mesh: Mesh) -> Any:
-        positions, triangles, normals, uvs = _two_sided(mesh)
-        material = self._sapien.render.RenderMaterial()
-        material.base_color = [*mesh["base_color"][:3], 1.0]
-        if mesh["metallic_roughness"] is None:
-            material.metallic, material.roughness, material.specular = 0.0, 1.0, 0.0
-        else:
-            material.metallic, material.roughness = mesh["metallic_roughness"]
-            # 4% at normal incidence.
-            material.specular = 0.5
-        if mesh["texture"] is not None and mesh["uvs"] is not None:
-            # The "minimal" shaders take the texture instead of the factor, not times it.
-            texture = _linear_texture(mesh["texture"], mesh["base_color"])
-            material.base_color_texture = self._sapien.render.RenderTexture2D(
-                texture, "R32G32B32A32Sfloat"
-            )
-        return self._sapien.render.RenderShapeTriangleMesh(
-            positions, triangles, normals, uvs, material
-        )
 
     def _add_camera(self, camera: Camera) -> Any:
         shaders = Path(self._sapien.__file__).parent / "vulkan_shader" / "minimal"
@@ -247,6 +185,86 @@ class SapienRenderer:
         linear = np.clip(camera.get_picture("Color")[..., :3], 0.0, 1.0) ** 2.2
         color = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
         rgb[:] = np.where(seen[..., None], np.rint(color * 255.0), self._background)
+
+
+def sapien_pose(pose: NDArray[np.float64]) -> Any:
+    """A pose `x y z qw qx qy qz` as SAPIEN's."""
+    import sapien
+
+    values = np.asarray(pose, np.float32)
+    return sapien.Pose(values[:3], values[3:])
+
+
+def camera_pose(world_from_camera: NDArray[np.float64]) -> Any:
+    """Where SAPIEN's camera is, for a camera that looks along +z with y down."""
+    import sapien
+
+    turn = sapien.Pose([0.0, 0.0, 0.0], list(CAMERA_FROM_SAPIEN_CAMERA))
+    return sapien_pose(world_from_camera) * turn
+
+
+def add_lighting(scene: Any, lighting: Lighting) -> None:
+    """Adds lights and ambient light to a SAPIEN scene."""
+    # SAPIEN's ambient light has no direction: a horizontal surface's share of sky and ground.
+    sky, ground = np.asarray(lighting["sky_rgb"]), np.asarray(lighting["ground_rgb"])
+    scene.set_ambient_light(list(0.5 * (sky + ground)))
+    for light in lighting["lights"]:
+        _add_light(scene, light)
+
+
+def _add_light(scene: Any, light: Light) -> None:
+    # SAPIEN divides diffuse reflection by pi (radiometric units), the shared model does not.
+    color = [math.pi * component for component in light["rgb"]]
+    shadow = light["shadow"]
+    if light["kind"] == "directional":
+        direction = [-component for component in light["direction"]]
+        scene.add_directional_light(direction, color, shadow=shadow)
+    elif light["kind"] == "point":
+        scene.add_point_light(light["position"], color, shadow=shadow)
+    else:
+        position = np.asarray(light["position"])
+        # SAPIEN's angles are those of the whole cone.
+        scene.add_spot_light(
+            position,
+            np.asarray(light["target"]) - position,
+            math.radians(2.0 * light["inner_deg"]),
+            math.radians(2.0 * light["outer_deg"]),
+            color,
+            shadow=shadow,
+        )
+
+
+def add_body(scene: Any, body: Body) -> Any:
+    """Adds a body to a SAPIEN scene, and returns its entity."""
+    import sapien
+
+    component = sapien.render.RenderBodyComponent()
+    for mesh in body["meshes"]:
+        component.attach(_shape(mesh))
+    entity = sapien.Entity()
+    entity.set_name(body["name"])
+    entity.add_component(component)
+    scene.add_entity(entity)
+    return entity
+
+
+def _shape(mesh: Mesh) -> Any:
+    import sapien
+
+    positions, triangles, normals, uvs = _two_sided(mesh)
+    material = sapien.render.RenderMaterial()
+    material.base_color = [*mesh["base_color"][:3], 1.0]
+    if mesh["metallic_roughness"] is None:
+        material.metallic, material.roughness, material.specular = 0.0, 1.0, 0.0
+    else:
+        material.metallic, material.roughness = mesh["metallic_roughness"]
+        # 4% at normal incidence.
+        material.specular = 0.5
+    if mesh["texture"] is not None and mesh["uvs"] is not None:
+        # The "minimal" shaders take the texture instead of the factor, not times it.
+        texture = _linear_texture(mesh["texture"], mesh["base_color"])
+        material.base_color_texture = sapien.render.RenderTexture2D(texture, "R32G32B32A32Sfloat")
+    return sapien.render.RenderShapeTriangleMesh(positions, triangles, normals, uvs, material)
 
 
 def _device() -> str:

@@ -109,6 +109,27 @@ fn open_renderer<'py>(
     scene: &RenderScene,
     cameras: &[CameraKey],
 ) -> PyResult<Bound<'py, PyAny>> {
+    let bodies = body_list(py, scene)?;
+    let camera_list = PyList::empty(py);
+    for (intrinsics, near_m, far_m) in cameras {
+        let entry = PyDict::new(py);
+        entry.set_item("width", intrinsics.width)?;
+        entry.set_item("height", intrinsics.height)?;
+        entry.set_item("K", intrinsics.matrix())?;
+        entry.set_item("near_m", near_m)?;
+        entry.set_item("far_m", far_m)?;
+        camera_list.append(entry)?;
+    }
+    let lighting = lighting_values(py, scene)?;
+    py.import("akrobat.sapien_backend")?.getattr("SapienRenderer")?.call1((
+        bodies,
+        camera_list,
+        lighting,
+    ))
+}
+
+/// The bodies of a scene as `akrobat.sapien_backend.Body` dictionaries.
+pub fn body_list<'py>(py: Python<'py>, scene: &RenderScene) -> PyResult<Bound<'py, PyList>> {
     let bodies = PyList::empty(py);
     for body in scene.bodies.iter() {
         let meshes = PyList::empty(py);
@@ -121,16 +142,11 @@ fn open_renderer<'py>(
         entry.set_item("meshes", meshes)?;
         bodies.append(entry)?;
     }
-    let camera_list = PyList::empty(py);
-    for (intrinsics, near_m, far_m) in cameras {
-        let entry = PyDict::new(py);
-        entry.set_item("width", intrinsics.width)?;
-        entry.set_item("height", intrinsics.height)?;
-        entry.set_item("K", intrinsics.matrix())?;
-        entry.set_item("near_m", near_m)?;
-        entry.set_item("far_m", far_m)?;
-        camera_list.append(entry)?;
-    }
+    Ok(bodies)
+}
+
+/// Lights, ambient light and background as an `akrobat.sapien_backend.Lighting` dictionary.
+pub fn lighting_values<'py>(py: Python<'py>, scene: &RenderScene) -> PyResult<Bound<'py, PyDict>> {
     let lighting = PyDict::new(py);
     let lights = PyList::empty(py);
     for light in &scene.lighting.lights {
@@ -142,11 +158,7 @@ fn open_renderer<'py>(
     lighting.set_item("ground_rgb", ground_rgb)?;
     // As numbers: Python would take u8 for bytes.
     lighting.set_item("background_rgb", scene.lighting.background_rgb.map(u32::from))?;
-    py.import("akrobat.sapien_backend")?.getattr("SapienRenderer")?.call1((
-        bodies,
-        camera_list,
-        lighting,
-    ))
+    Ok(lighting)
 }
 
 /// A light (world frame) as a dictionary.

@@ -25,8 +25,12 @@ use super::{write_attributes, write_conventions};
 use crate::error::{PackError, Result};
 use crate::h5::{GroupWriter, H5Writer};
 
-/// Name of the environment in the JSON file: trajectories that were replayed, not simulated.
-pub(crate) const ENVIRONMENT: &str = "AkrobatReplay-v1";
+/// The environment that replays the file, as the JSON file names it: `gymnasium.make` imports what stands before
+/// the colon (`python/akrobat/maniskill.py`).
+pub(crate) const ENVIRONMENT: &str = "akrobat.maniskill:AkrobatReplay-v1";
+
+/// Seeds of NumPy's generator, which ManiSkill sets, have 32 bits.
+const SEED_BITS: u64 = 0xffff_ffff;
 
 /// Writes one ManiSkill recording.
 pub(super) struct ManiskillSink {
@@ -34,6 +38,7 @@ pub(super) struct ManiskillSink {
     path: PathBuf,
     header: ExportHeader,
     episodes: Vec<Value>,
+    tasks: Vec<String>,
     stacks: Vec<[FrameStack; 3]>,
     cloud: Option<[FrameStack; 2]>,
 }
@@ -48,6 +53,7 @@ impl ManiskillSink {
             path,
             header: header.clone(),
             episodes: Vec::new(),
+            tasks: Vec::new(),
             stacks: Vec::new(),
             cloud: None,
         })
@@ -72,6 +78,8 @@ impl ManiskillSink {
                     "obs_mode": "rgb+depth+segmentation+pointcloud",
                     "control_mode": self.control_mode(),
                     "control_freq": self.header.frame_rate_hz,
+                    "tasks": self.tasks,
+                    "rig": { "name": "exported", "cameras": self.header.cameras },
                 },
             },
             "commit_info": null,
@@ -134,12 +142,29 @@ impl Sink for ManiskillSink {
                 Some([xyzw, rgb])
             }
         };
+        let task = self.tasks.iter().position(|task| *task == episode.task_toml);
+        let task = task.unwrap_or_else(|| {
+            self.tasks.push(episode.task_toml.clone());
+            self.tasks.len() - 1
+        });
+        let seed = known.seed & SEED_BITS;
+        let still: serde_json::Map<String, Value> =
+            episode.cameras.iter().filter_map(still_camera).collect();
         self.episodes.push(json!({
             "episode_id": episode.index,
-            "episode_seed": known.seed,
+            "episode_seed": seed,
             "control_mode": self.control_mode(),
             "elapsed_steps": steps,
-            "reset_kwargs": { "seed": known.seed },
+            "reset_kwargs": {
+                "seed": seed,
+                "options": {
+                    "task": task,
+                    "robot": &episode.robot.position[..joints],
+                    "object": &episode.object.position[..object[1]],
+                    "goal": known.goal,
+                    "cameras": still,
+                },
+            },
             "success": known.success,
             "fail": !known.success,
             "robot": known.robot_id,
@@ -226,6 +251,15 @@ fn write_parameters(group: &GroupWriter, camera: &CameraSeries, frames: usize) -
     group.array("extrinsic_cv", &[frames, 3, 4], &extrinsics)?;
     group.array("cam2world_gl", &[frames, 4, 4], &gl_poses)?;
     Ok(())
+}
+
+/// Name and world pose (`x y z qw qx qy qz`) of a camera that stands still: where it was put may have depended on the
+/// whole trajectory, which the environment does not know.
+fn still_camera(camera: &CameraSeries) -> Option<(String, Value)> {
+    let mut poses = camera.world_from_camera.chunks_exact(16);
+    let first = poses.next()?;
+    let stands = poses.all(|pose| pose == first);
+    stands.then(|| (camera.name.clone(), json!(pose::to_xyz_wxyz(&pose_of_matrix(first)))))
 }
 
 /// A pose from a row-major 4 x 4 matrix.

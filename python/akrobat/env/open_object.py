@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -70,6 +71,7 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         action_mode: Literal["absolute", "relative"] = "absolute",
         rig: StrPath | None = None,
         cloud_points: int = 0,
+        cloud: Mapping[str, Any] | None = None,
         assets: Sequence[StrPath] = (),
         physics: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
@@ -84,6 +86,8 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         :param action_mode: what actions mean
         :param rig: cameras of the observation, a preset or a rig file; none where absent
         :param cloud_points: points of the observed cloud, which needs a rig
+        :param cloud: other settings of the cloud that differ from the defaults, such as
+            `{"radius_m": 0.5}` (`cloud` in `akrobat schema job`)
         :param assets: folders where assets are looked up
         :param physics: settings that differ from the defaults (`akrobat schema physics`)
         :param render_mode: `rgb_array` for :meth:`render`
@@ -94,7 +98,7 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         split = split or ("seen" if trajectories else "unseen")
         _check(files, split, action_mode, list(trajectories), rig=rig, cloud_points=cloud_points)
         self.split, self.action_mode, self.render_mode = split, action_mode, render_mode
-        self._rig, self._cloud_points = rig, cloud_points
+        self._rig, self._cloud_points, self._cloud = rig, cloud_points, dict(cloud or {})
         self.config = PhysicsConfig.of(physics)
         self._substeps = max(round(1.0 / (RATE_HZ * self.config.timestep_s)), 1)
         loaded = [_core.Task.load(file, folders) for file in files]
@@ -106,6 +110,7 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise InputError(f"no trajectory file was given for {', '.join(names)}")
         self.place = self.places[0]
         self._observers: dict[int, _core.Observer] = {}
+        self._spectator: _core.Observer | None = None
         self._episode = 0
         self._low, self._high, self._stride = self._limits()
         self.action_space = self._action_space()
@@ -131,8 +136,7 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if number is None:
             number = int(self.np_random.integers(len(self.places)))
         self.place = self.places[number]
-        self._reset_world(self._draw(options.get("trajectory")))
-        self._episode += 1
+        self.begin(self._draw(options.get("trajectory")))
         return self._observe(), self._info()
 
     def step(
@@ -148,26 +152,58 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.action_mode == "relative":
             wanted = self._targets + np.clip(wanted, -self._stride, self._stride)
         before = self.opened_fraction()
-        self._drive(np.clip(wanted, self._low, self._high))
-        self._step += 1
+        self.advance(wanted)
         opened = self.opened_fraction()
-        self._opened_max = max(self._opened_max, opened)
-        self._held = self._held + 1 if self.is_success() else 0
         terminated = self._held >= HOLD_STEPS
         truncated = self._step >= HORIZON_STEPS
         reward = float(opened - before) + float(terminated)
         return self._observe(), reward, terminated, truncated, self._info()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """The first camera's picture (of the rig `paper` where none was given)."""
+        """What the camera `fixed` of the rig `paper` sees."""
         if self.render_mode != "rgb_array":
             return None
-        cameras = self._see()["cameras"]
-        picture: NDArray[np.uint8] = next(iter(cameras.values()))["rgb"]
+        if self._step == 0 or self._spectator is None:
+            self._spectator = self.observer("paper", {"points": 0})
+        cameras = self._spectator.observe(self.row().tolist(), self.object_row().tolist())
+        picture: NDArray[np.uint8] = cameras["cameras"]["fixed"]["rgb"]
         return picture
 
-    # -- what policies and evaluation ask
-    # ------------------------------------------------------------
+    # -- what policies, evaluation and other environments ask -------------------------------------
+
+    def begin(self, start: Start) -> None:
+        """Starts an episode of the current place here."""
+        self._reset_world(start)
+        self._episode += 1
+
+    def advance(self, wanted: NDArray[np.float64]) -> None:
+        """Drives towards absolute targets for 1/30 s, and notes how far the object opened within
+        the horizon."""
+        self._drive(np.clip(wanted, self._low, self._high))
+        self._step += 1
+        if self._step <= HORIZON_STEPS:
+            self._opened_max = max(self._opened_max, self.opened_fraction())
+        self._held = self._held + 1 if self.is_success() else 0
+
+    def row(self) -> NDArray[np.float64]:
+        """Positions of the joints that actions drive."""
+        body = self.place.world.robot
+        columns = [body.column[name] for name in self.joint_names]
+        positions: NDArray[np.float64] = body.articulation.get_qpos()[columns].astype(float)
+        return positions
+
+    def object_row(self) -> NDArray[np.float64]:
+        """Positions of the object's joints."""
+        world = self.place.world
+        columns = [world.object.column[n] for n in world.object_description["dof_joints"]]
+        positions: NDArray[np.float64] = world.object.articulation.get_qpos()[columns].astype(float)
+        return positions
+
+    def observer(self, rig: str, cloud: Mapping[str, Any]) -> _core.Observer:
+        """Cameras mounted for the episode that has begun."""
+        middle = [*self.place.world.handle_points.mean(axis=0), 1.0, 0.0, 0.0, 0.0]
+        row, goal = self.row().tolist(), self._start.goal
+        return _core.Observer(self.place.task, rig, json.dumps(dict(cloud)), row, goal, middle)
 
     @property
     def joint_names(self) -> list[str]:
@@ -194,8 +230,7 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         reached = self._opened_max >= self._needed_fraction()
         return reached and world.handle_distance_m() <= HANDLE_DISTANCE_M
 
-    # -- inside
-    # --------------------------------------------------------------------------------------
+    # -- inside ------------------------------------------------------------------------------------
 
     def _place(self, task: _core.Task, files: list[tuple[Path, _core.Trajectories]]) -> Place:
         world = World(task, self.config)
@@ -273,14 +308,8 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             entries[name] = spaces.Box(low, high, values.shape, values.dtype.type)
         return spaces.Dict(entries)
 
-    def _row(self) -> NDArray[np.float64]:
-        body = self.place.world.robot
-        columns = [body.column[name] for name in self.joint_names]
-        positions: NDArray[np.float64] = body.articulation.get_qpos()[columns].astype(float)
-        return positions
-
     def _observe(self) -> Observation:
-        row = self._row()
+        row = self.row()
         arm = len(self.place.controller.arm_names)
         opening = self.place.controller.opening_m(row[arm:])
         observation: Observation = {"state": np.append(row[:arm], opening).astype(np.float32)}
@@ -295,23 +324,11 @@ class OpenObjectEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _see(self) -> dict[str, Any]:
         """What the cameras see now; they are mounted anew at the start of each episode."""
-        world = self.place.world
         if self._step == 0 or id(self.place) not in self._observers:
-            middle = [*world.handle_points.mean(axis=0), 1.0, 0.0, 0.0, 0.0]
-            self._observers = {
-                id(self.place): _core.Observer(
-                    self.place.task,
-                    str(self._rig or "paper"),
-                    self._cloud_points,
-                    self._row().tolist(),
-                    self._start.goal,
-                    middle,
-                )
-            }
-        columns = [world.object.column[n] for n in world.object_description["dof_joints"]]
-        positions = world.object.articulation.get_qpos()[columns]
+            cloud = {**self._cloud, "points": self._cloud_points}
+            self._observers = {id(self.place): self.observer(str(self._rig), cloud)}
         observer = self._observers[id(self.place)]
-        return observer.observe(self._row().tolist(), positions.astype(float).tolist())
+        return observer.observe(self.row().tolist(), self.object_row().tolist())
 
     def _info(self) -> dict[str, Any]:
         distance_m = self.place.world.handle_distance_m()

@@ -116,11 +116,15 @@ class World:
     # -- state -----------------------------------------------------------------------------------
 
     def reset(self, robot_row: dict[str, float], object_row: dict[str, float]) -> None:
-        """Puts robot and object somewhere, at rest."""
+        """Puts robot and object somewhere, at rest. Joints that mimic others follow them."""
         for body, row in ((self.robot, robot_row), (self.object, object_row)):
             positions = body.articulation.get_qpos()
             for name, value in row.items():
                 positions[body.column[name]] = value
+            for joint in body.description["joints"]:
+                if joint["mimic"] and joint["mimic"][0] in row and joint["name"] not in row:
+                    followed, multiplier, offset = joint["mimic"]
+                    positions[body.column[joint["name"]]] = multiplier * row[followed] + offset
             body.articulation.set_qpos(positions)
             body.articulation.set_qvel(np.zeros_like(positions))
 
