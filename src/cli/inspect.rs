@@ -1,5 +1,6 @@
 //! `akrobat inspect`: what is in a file.
 
+mod dataset;
 mod rig;
 
 use std::path::{Path, PathBuf};
@@ -14,18 +15,20 @@ use crate::Error;
 use crate::pipeline::{self, BackendChoice, Context, ReportRequest, SurveyRequest};
 use crate::report::ReportOptions;
 
-/// Tell what is in a trajectory file, and show it.
+/// Tell what is in a trajectory file or a dataset, and show it.
 ///
 /// Examples:
 ///   akrobat inspect drawer.h5                  counts, goals, worst values the judge found
 ///   akrobat inspect drawer.h5 --json           the same, and every trajectory, for machines
 ///   akrobat inspect drawer.h5 --report look/   a page with pictures and plots: look/report.html
+///   akrobat inspect dataset                    arrays, sizes, compression, ranges of the joints
+///   akrobat inspect dataset --report look/     the same as a page: look/dataset.html
 ///   akrobat inspect --rig my_rig.toml          the cameras of a rig
 ///   akrobat inspect --rig ring drawer.h5       where they are and what each sees of a trajectory
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct InspectArgs {
-    /// Trajectory file, as `akrobat plan` writes it.
+    /// Trajectory file, as `akrobat plan` writes it, or dataset folder.
     #[arg(required_unless_present = "rig")]
     file: Option<PathBuf>,
     /// Folder where a page is written, with animated pictures and models of some trajectories.
@@ -52,6 +55,15 @@ pub struct InspectArgs {
 
 /// Runs the verb.
 pub fn run(args: &InspectArgs, context: &Context<'_>) -> Result<Report, Error> {
+    if let Some(folder) = args.file.as_deref().filter(|file| file.is_dir()) {
+        if args.rig.is_some() {
+            let folder = folder.display();
+            let message = format!("{folder}: --rig needs a trajectory file, got a dataset");
+            return Err(Error::Usage(message));
+        }
+        let (text, json) = dataset::inspect(folder, args.report.as_deref())?;
+        return Ok(Report::done(text, json));
+    }
     let (mut text, mut json) = match &args.file {
         Some(file) => {
             let set = trajectory_file::read(file)?;

@@ -62,6 +62,9 @@ pub struct ImportReport {
 
 /// AutoMoMa's frames of a whole trajectory: 30 waypoints over 119 thirtieths of a second.
 const WAYPOINT_INTERVAL_S: f64 = 119.0 / 30.0 / 29.0;
+/// Samples from one waypoint to the next, as many as the judge wants: robots drive there in a straight line of
+/// joint space.
+const WAYPOINT_SUBSTEPS: usize = 8;
 /// Recorders' frames.
 const FRAME_INTERVAL_S: f64 = 1.0 / 30.0;
 
@@ -203,17 +206,27 @@ impl Converter<'_> {
             object: JointPath::new(object.tree.dof()),
             ..DensePath::default()
         };
-        for t in 0..motion.rows {
-            let phase = match t {
+        // Frames are kept as they are: with two waypoints, the manipulation may have any number of them.
+        let (samples, substeps) = match self.recordings.waypoints {
+            true => (WAYPOINT_SUBSTEPS, WAYPOINT_SUBSTEPS),
+            false => (1, to - from),
+        };
+        let (from, to) = (samples * from, samples * to);
+        for sample in 0..=samples * (motion.rows - 1) {
+            let phase = match sample {
                 t if t <= from => Phase::Approach,
                 t if t <= to => Phase::Manipulate,
                 _ => Phase::Release,
             };
-            let time_s = t as f64 * self.interval_s;
-            dense.push(time_s, self.robot_row(motion, t), self.object_row(motion, t), phase);
+            let (t, fraction) = (sample / samples, (sample % samples) as f64 / samples as f64);
+            let between = |row: &dyn Fn(usize) -> Vec<f64>| match sample % samples {
+                0 => row(t),
+                _ => lerp(&row(t), &row(t + 1), fraction),
+            };
+            let robot = between(&|t| self.robot_row(motion, t));
+            let object = between(&|t| self.object_row(motion, t));
+            dense.push((t as f64 + fraction) * self.interval_s, robot, object, phase);
         }
-        // Frames are kept as they are: with two waypoints, the manipulation may have any number of them.
-        let substeps = if self.recordings.waypoints { 1 } else { to - from };
         let mut waypoints_robot = JointPath::new(self.robot_columns());
         let mut waypoints_object = JointPath::new(object.tree.dof());
         for t in (from..=to).step_by(substeps) {
@@ -225,11 +238,11 @@ impl Converter<'_> {
             id: hash::of_bytes(identity.as_bytes())[..16].to_owned(),
             seed: motion.seed,
             grasp: self.grasp(motion.grasp_id, &dense, from, robot),
-            start: driven[from],
-            goal: driven[to],
+            start: driven[from / samples],
+            goal: driven[to / samples],
             waypoints_robot,
             waypoints_object,
-            waypoint_interval_s: substeps as f64 * self.interval_s,
+            waypoint_interval_s: substeps as f64 / samples as f64 * self.interval_s,
             manipulation_start: from as u32,
             substeps: substeps as u32,
             regrasps: Vec::new(),
@@ -267,6 +280,10 @@ impl Converter<'_> {
             width_m: fraction * gripper.open_width_m,
         }
     }
+}
+
+fn lerp(from: &[f64], to: &[f64], fraction: f64) -> Vec<f64> {
+    from.iter().zip(to).map(|(a, b)| a + fraction * (b - a)).collect()
 }
 
 /// The first and last sample between which a position changes.

@@ -8,6 +8,7 @@ pub mod animation;
 pub mod audit_page;
 pub mod chart;
 pub mod cloud;
+pub mod dataset_page;
 pub mod drift;
 pub mod footprint;
 pub mod glb;

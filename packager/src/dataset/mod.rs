@@ -6,6 +6,7 @@ mod reader;
 pub mod repair;
 pub mod select;
 pub mod split;
+pub mod summary;
 mod validate;
 mod writer;
 
