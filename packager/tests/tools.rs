@@ -12,7 +12,8 @@ use akrobat_model::events::Silent;
 use akrobat_packager::dataset::repair::repair;
 use akrobat_packager::dataset::select::{Selection, filter, merge};
 use akrobat_packager::dataset::split::{SplitBy, SplitConfig, split};
-use akrobat_packager::dataset::{Array, Container, Status, publish_parts};
+use akrobat_packager::dataset::summary::summarize;
+use akrobat_packager::dataset::{Array, Container, Status, Values, publish_parts};
 use akrobat_packager::{
     Codec, ColorEncoding, DatasetReader, DatasetWriter, DepthEncoding, StorageConfig, validate,
 };
@@ -345,4 +346,44 @@ fn damaged_shards_are_set_aside_and_named() {
         let dataset = DatasetReader::open(folder.path()).unwrap();
         assert_eq!(dataset.episodes().count(), EPISODES as usize);
     }
+}
+
+#[test]
+fn summaries_count_and_measure() {
+    let folder = written(Container::Hdf5);
+    let summary = summarize(folder.path()).unwrap();
+    assert!(summary.complete);
+    assert_eq!(summary.episodes, u64::from(EPISODES));
+    assert_eq!(summary.filtered, 1);
+    assert_eq!(summary.reasons["position_limit: joint arm"], 1);
+    assert_eq!(summary.frames, u64::from(EPISODES * FRAMES));
+    let shards = files(folder.path());
+    let bytes = shards.iter().filter(|(name, _)| name.starts_with("shards/"));
+    assert_eq!(summary.bytes, bytes.map(|(_, content)| content.len() as u64).sum::<u64>());
+
+    // What is said of an array is what reading it gives.
+    let dataset = DatasetReader::open(folder.path()).unwrap();
+    let all: Vec<_> = dataset.episodes().map(|(id, _)| arrays(&dataset, id)).collect();
+    let rgb = &summary.arrays["camera_obs/fixed_rgb"];
+    assert_eq!((rgb.element.as_str(), rgb.rows), ("uint8", summary.frames));
+    let elements: usize =
+        all.iter().map(|a| a["camera_obs/fixed_rgb"].shape.iter().product::<usize>()).sum();
+    assert_eq!(rgb.raw_bytes, elements as u64);
+    assert!(0 < rgb.stored_bytes && rgb.stored_bytes < rgb.raw_bytes, "{rgb:?}");
+    assert!(!summary.arrays.contains_key("obs/fixed_rgb"), "a second name of the same images");
+    let joints = summary.joints.values().next().unwrap();
+    let first: Vec<f64> = all
+        .iter()
+        .flat_map(|arrays| match &arrays["obs/joint_pos"].values {
+            Values::F32(values) => values.chunks(joints.len()).map(|row| f64::from(row[0])),
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    let mean = first.iter().sum::<f64>() / first.len() as f64;
+    assert!((joints[0].mean - mean).abs() < 1e-9, "{joints:?}");
+    assert_eq!(joints[0].max, first.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+
+    let logs = summarize(written(Container::Mcap).path()).unwrap();
+    assert_eq!((logs.episodes, logs.frames), (summary.episodes, summary.frames));
+    assert!(logs.arrays.is_empty());
 }

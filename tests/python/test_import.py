@@ -83,8 +83,8 @@ def test_what_is_imported_renders_to_what_was_recorded(
 
 def test_waypoints_of_traj_data(drawer_file: Path, shared_assets: Path, tmp_path: Path) -> None:
     tensors = export(drawer_file, "automoma", tmp_path / "traj") / "traj_data.pt"
-    report = imported(tensors, tmp_path / "a.h5", shared_assets, "--judge")
-    assert report["trajectories"] == report["accepted"] == 2
+    report = imported(tensors, tmp_path / "a.h5", shared_assets)
+    assert (report["tool"], report["trajectories"]) == ("automoma", 2)
     with h5py.File(tmp_path / "a.h5") as file, h5py.File(drawer_file) as planned:
         assert np.array_equal(file["waypoints/robot"][()], planned["waypoints/robot"][()])
         assert np.array_equal(file["waypoints/object"][()], planned["waypoints/object"][()])
@@ -101,8 +101,9 @@ def test_the_judge_refuses_a_recording_that_lets_go(
         # The base rolls away while the drawer opens.
         position[:, 0] += np.linspace(0, 0.1, len(position))
         robot["joint_position"][...] = position
-    report = imported(changed, tmp_path / "a.h5", shared_assets, "--judge")
-    assert (report["trajectories"], report["accepted"]) == (1, 0)
+    for recording, accepted in [(recordings["automoma"], 1), (changed, 0)]:
+        report = imported(recording, tmp_path / f"{accepted}.h5", shared_assets, "--judge")
+        assert (report["trajectories"], report["accepted"]) == (1, accepted)
 
 
 def test_failures_and_stillness_are_left_out(
