@@ -140,7 +140,7 @@ const KNOB_HEAD: f64 = 0.45;
 pub enum Orientation {
     /// Along y: drawers and drop-down doors.
     Horizontal,
-    /// Along y, upside down: the lever of a door that is hinged at the right.
+    /// Along y, turned about x: the lever of a door that is hinged at the left, which points to -y.
     HorizontalReversed,
     /// Along z: side-hinged doors.
     Vertical,

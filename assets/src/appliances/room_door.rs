@@ -83,7 +83,7 @@ impl RoomDoor {
         let foot = [0.0, leaf.inward_y(leaf.panel_width() - beside), height - Self::FLOOR_GAP_M];
         let (is_lever, orientation) = match self.handle {
             // A lever points away from the free edge.
-            HandleStyle::Lever { .. } if self.hinge_side == HingeSide::Left => {
+            HandleStyle::Lever { .. } if self.hinge_side == HingeSide::Right => {
                 (true, Orientation::Horizontal)
             }
             HandleStyle::Lever { .. } => (true, Orientation::HorizontalReversed),
