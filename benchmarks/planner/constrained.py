@@ -87,9 +87,9 @@ class Anchored(ob.Constraint):
         self.seconds += time.process_time() - begin
 
 
-def plan_ours(task: Path, assets: Path, limit: int, output: Path) -> dict:
+def plan_ours(binary: Path, task: Path, assets: Path, limit: int, output: Path) -> dict:
     """Our command, and the CPU time it took in all."""
-    command = [str(Path(sys.executable).parent / "akrobat"), "--json", "--quiet", "plan", str(task)]
+    command = [str(binary), "--json", "--quiet", "plan", str(task)]
     command += ["-o", str(output), "--limit", str(limit), "--assets", str(assets)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
@@ -163,7 +163,7 @@ def plan_ompl(constraint: Anchored, start, goal, seconds: float) -> dict:
     return {"solved": exact, "cpu_s": cpu, "constraint_s": inside}
 
 
-def run(task: Path, assets: Path, limit: int, seconds: float) -> dict:
+def run(binary: Path, task: Path, assets: Path, limit: int, seconds: float) -> dict:
     """Both on one task."""
     build = ["cargo", "build", "--release", "--quiet", "-p", "akrobat-planner"]
     subprocess.run([*build, "--example", "akr_urdf"], check=True, cwd=ROOT)
@@ -171,7 +171,7 @@ def run(task: Path, assets: Path, limit: int, seconds: float) -> dict:
     ou.setLogLevel(ou.LogLevel.LOG_ERROR)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plan.h5"
-        ours = plan_ours(task, assets, limit, file)
+        ours = plan_ours(binary, task, assets, limit, file)
         rows, cache = [], {}
         for link, tool, width, start, goal in queries(file):
             key = (link, tuple(tool), float(width))
@@ -229,9 +229,12 @@ def main() -> int:
         "--seconds", type=float, default=10.0, help="OMPL's CPU time for each query"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
-    arguments = parser.parse_args()
-    report = run(arguments.task, arguments.assets, arguments.limit, arguments.seconds)
-    print(json.dumps(report, indent=1) if arguments.json else text(report))
+    parser.add_argument(
+        "--command", type=Path, default=Path(sys.executable).parent / "akrobat", help="akrobat"
+    )
+    given = parser.parse_args()
+    report = run(given.command, given.task, given.assets, given.limit, given.seconds)
+    print(json.dumps(report, indent=1) if given.json else text(report))
     return 0
 
 

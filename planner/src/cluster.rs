@@ -213,4 +213,45 @@ mod tests {
         assert!((4..=30).contains(&chosen.len()), "{}", chosen.len());
         assert!(representatives(&points[..5], &[1.0, 1.0], 10, 30, 100, 3).len() == 5);
     }
+
+    /// Sixty points without symmetry.
+    fn scattered() -> Vec<Vec<f64>> {
+        let point = |i: f64| vec![(1.7 * i).sin(), (2.3 * i + 0.5).sin(), (0.9 * i).cos()];
+        (0..60).map(|i| point(f64::from(i))).collect()
+    }
+
+    const WEIGHTS: [f64; 3] = [1.0, 0.5, 2.0];
+
+    /// scikit-learn 1.9.1: `AffinityPropagation(damping=0.5, preference=median, affinity="precomputed", random_state=0)`
+    /// with the negative squared distances of the points times the square roots of the weights, and their median off
+    /// the diagonal; `cluster_centers_indices_`.
+    #[test]
+    fn exemplars_are_those_of_scikit_learn() {
+        let points = scattered();
+        let slices: Vec<&[f64]> = points.iter().map(Vec::as_slice).collect();
+        let expected = [2, 4, 8, 17, 18, 19, 44, 48, 55];
+        assert_eq!(affinity_propagation(&slices, &WEIGHTS).unwrap(), expected);
+        // Negative control: the weights matter.
+        assert_ne!(affinity_propagation(&slices, &[1.0; 3]).unwrap(), expected);
+    }
+
+    /// scikit-learn 1.9.1: `KMeans(5, n_init=20, random_state=0)` on the same points, scaled by 0.8 and moved to five
+    /// corners; the points nearest to `cluster_centers_`.
+    #[test]
+    fn medoids_are_those_of_scikit_learn() {
+        let corners =
+            [[0.0, 0.0, 0.0], [6.0, 0.0, 0.0], [0.0, 6.0, 0.0], [0.0, 0.0, 6.0], [6.0, 6.0, 6.0]];
+        let mut points = scattered();
+        for (point, corner) in points.iter_mut().zip(corners.iter().cycle()) {
+            point.iter_mut().zip(corner).for_each(|(x, c)| *x = c + 0.8 * *x);
+        }
+        // Lloyd's algorithm keeps to the valley it starts in; theirs is the best of twenty starts.
+        let found = |weights: &[f64]| {
+            let is_best = |seed| k_means_medoids(&points, weights, 5, seed) == [9, 26, 33, 37, 50];
+            (0..20).filter(|&seed| is_best(seed)).count()
+        };
+        assert!(found(&WEIGHTS) >= 10, "{}", found(&WEIGHTS));
+        // Negative control: the weights matter.
+        assert_eq!(found(&[1.0, 4.0, 0.2]), 0);
+    }
 }

@@ -23,6 +23,8 @@ pub struct NodeSphere {
     pub link: usize,
     /// Moves with the base only: stands on the floor.
     pub on_base: bool,
+    /// Does not move: only the robot's other links and the object can touch it.
+    pub rests: bool,
     /// Moves rigidly with the tool.
     pub on_tool: bool,
 }
@@ -54,9 +56,7 @@ pub fn self_collision_pairs(robot: &Robot, model: &SphereModel) -> LinkPairs {
     for (i, &a) in links.iter().enumerate() {
         for &b in &links[i + 1..] {
             let node = |l: usize| kinematics.attachment(l).node;
-            // Links that nothing moves carry no spheres in a [`RobotBody`].
-            let rests = node(a).is_none() || node(b).is_none();
-            let related = rests || node(a) == node(b) || are_neighbours(robot, &kinematics, a, b);
+            let related = node(a) == node(b) || are_neighbours(robot, &kinematics, a, b);
             if !related && !listed(a, b) {
                 pairs.push((a, b));
             }
@@ -93,8 +93,7 @@ fn mask_samples(robot: &Robot, kinematics: &Kinematics, variables: &[usize]) -> 
 
 /// True where one variable at most lies between two links.
 fn are_neighbours(robot: &Robot, kinematics: &Kinematics, a: usize, b: usize) -> bool {
-    let moved_by =
-        |l: usize| kinematics.attachment(l).node.map_or(0, |n| kinematics.nodes()[n].moved_by);
+    let moved_by = |l: usize| kinematics.attachment(l).node.map_or(0, |n| kinematics.moved_by(n));
     let fingers = |l: usize| robot.finger_links.contains(&l);
     (moved_by(a) ^ moved_by(b)).count_ones() <= 1 || (fingers(a) && fingers(b))
 }
@@ -113,6 +112,7 @@ pub struct RobotBody {
 #[derive(Debug, Clone)]
 struct LinkBound {
     node: usize,
+    rests: bool,
     center: Vector3<f64>,
     radius: f64,
     first: usize,
@@ -224,7 +224,7 @@ impl Penalty {
 
 impl RobotBody {
     /// Places the spheres on `kinematics` (compiled from the robot's tree, or a tree whose first links
-    /// are the robot's). Spheres of links that do not move at all are dropped.
+    /// are the robot's).
     pub fn new(
         robot: &Robot,
         model: &SphereModel,
@@ -237,7 +237,7 @@ impl RobotBody {
         let mut bounds: Vec<(usize, LinkBound)> = Vec::new();
         for link in 0..robot.tree.links().len() {
             let attachment = kinematics.attachment(link);
-            let Some(node) = attachment.node else { continue };
+            let node = attachment.node.unwrap_or(kinematics.world_node());
             let first = spheres.len();
             for sphere in model.spheres.iter().filter(|s| s.link == link) {
                 let center = nalgebra::Point3::from(Vector3::from(sphere.center));
@@ -247,6 +247,7 @@ impl RobotBody {
                     radius: sphere.radius,
                     link,
                     on_base: base_node == Some(node),
+                    rests: attachment.node.is_none(),
                     on_tool: tool_node == Some(node),
                 });
             }
@@ -262,16 +263,19 @@ impl RobotBody {
         Self { spheres, groups, bounds: bounds.into_iter().map(|(_, b)| b).collect() }
     }
 
-    /// Each link's node, its bounding sphere in the node's frame (centre and radius, metres), and its spheres.
-    pub(crate) fn links(
+    /// Each moving link's node, its bounding sphere in the node's frame (centre and radius, metres), and its spheres.
+    pub(crate) fn moving_links(
         &self,
     ) -> impl Iterator<Item = (usize, Vector3<f64>, f64, std::ops::Range<usize>)> + '_ {
-        self.bounds.iter().map(|b| (b.node, b.center, b.radius, b.first..b.last))
+        let moving = self.bounds.iter().filter(|b| !b.rests);
+        moving.map(|b| (b.node, b.center, b.radius, b.first..b.last))
     }
 
-    /// Pairs of [`Self::links`] that can collide.
-    pub(crate) fn link_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        self.groups.iter().map(|group| (group.a, group.b))
+    /// Pairs of [`Self::moving_links`] that can collide.
+    pub(crate) fn moving_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let number = |bound: usize| self.bounds[..bound].iter().filter(|b| !b.rests).count();
+        let moving = |group: &&PairGroup| [group.a, group.b].iter().all(|&i| !self.bounds[i].rests);
+        self.groups.iter().filter(moving).map(move |group| (number(group.a), number(group.b)))
     }
 
     /// For each checked pair of links, whether their spheres overlap.
@@ -352,7 +356,7 @@ impl RobotBody {
                     return worst;
                 }
                 let floor = center.z - sphere.radius - world.floor_z;
-                if !sphere.on_base && note(floor, sphere.link, Obstacle::Floor) {
+                if !sphere.on_base && !sphere.rests && note(floor, sphere.link, Obstacle::Floor) {
                     return worst;
                 }
                 if near.moving && (moving == MovingCheck::All || !sphere.on_tool) {
@@ -395,9 +399,9 @@ impl RobotBody {
             .map(|(bound, center)| {
                 let least = bound.radius + reach;
                 let local = world_from_moved.inverse_transform(center);
-                let fixed = !world.fixed.is_beyond(center, least);
+                let fixed = !bound.rests && !world.fixed.is_beyond(center, least);
                 let moving = !world.moving.is_beyond(&local, least);
-                let floor = center.z - world.floor_z < least;
+                let floor = !bound.rests && center.z - world.floor_z < least;
                 Near { fixed, moving, any: fixed || moving || floor }
             })
             .collect();
@@ -482,7 +486,7 @@ impl RobotBody {
                         add(reach - distance, &gradient, 0.0);
                     }
                 }
-                if !sphere.on_base && center.z - world.floor_z < reach {
+                if !sphere.on_base && !sphere.rests && center.z - world.floor_z < reach {
                     add(reach - (center.z - world.floor_z), &Vector3::z(), 0.0);
                 }
                 if near.moving && !sphere.on_tool {
@@ -514,5 +518,6 @@ fn bound(spheres: &[NodeSphere], first: usize, node: usize) -> LinkBound {
     let own = &spheres[first..];
     let center = own.iter().map(|s| s.center).sum::<Vector3<f64>>() / own.len().max(1) as f64;
     let radius = own.iter().map(|s| (s.center - center).norm() + s.radius).fold(0.0, f64::max);
-    LinkBound { node, center, radius, first, last: spheres.len() }
+    let rests = own.iter().all(|s| s.rests);
+    LinkBound { node, rests, center, radius, first, last: spheres.len() }
 }

@@ -27,7 +27,9 @@ pub struct PlannerConfig {
     pub ik_clusters: usize,
     /// Optimised start and goal pairs for each grasp and goal, at most.
     pub pairs_per_grasp: usize,
-    /// Iterations of trajectory optimisation.
+    /// How trajectories are optimised.
+    pub optimiser: Optimiser,
+    /// Iterations of trajectory optimisation on the constraint.
     pub iterations: usize,
     /// Clearance that optimisation aims at between spheres and everything else, metres.
     pub clearance_m: f64,
@@ -47,6 +49,18 @@ pub struct PlannerConfig {
     pub ptp_iterations: usize,
 }
 
+/// How trajectories are optimised.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Optimiser {
+    /// Gauss-Newton steps along the constraint, which every iterate holds.
+    #[default]
+    Manifold,
+    /// cuRobo's recipe, for comparison: L-BFGS from 12 seeds with the constraint as a penalty; what does not hold it is
+    /// dropped afterwards.
+    Curobo,
+}
+
 impl Default for PlannerConfig {
     fn default() -> Self {
         Self {
@@ -59,6 +73,7 @@ impl Default for PlannerConfig {
             ik_seeds: 1000,
             ik_clusters: 30,
             pairs_per_grasp: 60,
+            optimiser: Optimiser::default(),
             iterations: 25,
             clearance_m: 0.015,
             min_clearance_m: 0.004,

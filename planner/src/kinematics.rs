@@ -103,8 +103,8 @@ pub struct Kinematics {
 /// World frames of all nodes, and their axes in the world.
 #[derive(Debug, Clone)]
 pub struct NodeFrames {
-    /// `world_from_node` of each node.
-    pub frames: [Frame; MAX_VARIABLES],
+    /// `world_from_node` of each node; from [`Kinematics::world_node`] on, the world's own.
+    pub frames: [Frame; MAX_VARIABLES + 1],
     /// World-frame axis of each node's joint.
     pub axes: [Vector3<f64>; MAX_VARIABLES],
 }
@@ -171,6 +171,16 @@ impl Kinematics {
         self.nodes.len()
     }
 
+    /// The node that stands for the world: what hangs from it rests.
+    pub fn world_node(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Bit i is set where variable i moves a node.
+    pub fn moved_by(&self, node: usize) -> u32 {
+        self.nodes.get(node).map_or(0, |n| n.moved_by)
+    }
+
     /// The nodes.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes
@@ -218,7 +228,7 @@ impl Kinematics {
     /// World frames of all nodes at `x`.
     pub fn forward(&self, x: &Variables) -> NodeFrames {
         let mut out = NodeFrames {
-            frames: [Frame::identity(); MAX_VARIABLES],
+            frames: [Frame::identity(); MAX_VARIABLES + 1],
             axes: [Vector3::zeros(); MAX_VARIABLES],
         };
         for (index, node) in self.nodes.iter().enumerate() {
@@ -277,7 +287,7 @@ impl Kinematics {
         gradient: &Vector3<f64>,
         out: &mut SVector<f64, MAX_VARIABLES>,
     ) {
-        let mut moved_by = self.nodes[node].moved_by;
+        let mut moved_by = self.moved_by(node);
         while moved_by != 0 {
             let variable = moved_by.trailing_zeros() as usize;
             moved_by &= moved_by - 1;

@@ -19,6 +19,8 @@ pub mod grasp;
 pub mod ik;
 pub mod kernels;
 pub mod kinematics;
+pub mod lbfgs;
+pub mod penalty;
 pub mod plan;
 pub mod ptp;
 pub mod spheres;
@@ -26,6 +28,6 @@ pub mod trajopt;
 pub mod world;
 
 pub use backend::Backend;
-pub use config::PlannerConfig;
+pub use config::{Optimiser, PlannerConfig};
 pub use plan::{PlanError, PlanOutcome, Preparation, plan, plan_on};
 pub use spheres::{Sphere, SphereModel};

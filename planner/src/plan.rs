@@ -24,7 +24,7 @@ use crate::approach::{self, Approach, ApproachPlanner, Transfer};
 use crate::backend::Backend;
 use crate::closure::Closure;
 use crate::collision::{self, LinkPairs, MovingCheck, RobotBody};
-use crate::config::PlannerConfig;
+use crate::config::{Optimiser, PlannerConfig};
 use crate::dense;
 use crate::gpu::Session;
 use crate::ik::Tool;
@@ -192,6 +192,7 @@ fn plan_driven(
 ) -> Result<PlanOutcome, PlanError> {
     let session = match backend {
         Backend::Cpu => None,
+        Backend::Wgpu(_) if config.optimiser != Optimiser::Manifold => None,
         Backend::Wgpu(gpu) => Some(gpu.session(world)?),
     };
     let mut run = Run::new(task, preparation, config, observer);
@@ -631,10 +632,16 @@ impl Run<'_> {
     ) -> Result<Leg<'h>, (&'static str, String)> {
         let fail = |reason| (reason, String::new());
         let problem = self.problem(world, hold, config);
-        let mut waypoints = problem.straight(start, goal).ok_or(fail("projection"))?;
-        problem.optimise(&mut waypoints);
+        let optimised = match config.optimiser {
+            Optimiser::Manifold => problem.straight(start, goal).ok_or("projection").map(|path| {
+                let mut path = path;
+                problem.optimise(&mut path);
+                path
+            }),
+            Optimiser::Curobo => problem.optimise_by_penalties(start, goal).ok_or("no_seed_holds"),
+        };
         steps.lap("optimise");
-        self.leg_along(world, hold, config, waypoints, steps)
+        self.leg_along(world, hold, config, optimised.map_err(fail)?, steps)
     }
 
     /// What one grasp does along optimised waypoints: sampled densely, and checked.

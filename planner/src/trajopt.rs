@@ -207,7 +207,7 @@ impl Problem<'_> {
         path.iter().map(|x| self.waypoint_terms(x, weight)).collect()
     }
 
-    fn waypoint_terms(&self, x: &[f64], weight: f64) -> Penalty {
+    pub(crate) fn waypoint_terms(&self, x: &[f64], weight: f64) -> Penalty {
         let mut penalty = Penalty::zero();
         let frames = self.kinematics.forward(x);
         let object = x.len() - 1;
@@ -235,7 +235,12 @@ impl Problem<'_> {
     }
 
     fn total(&self, path: &Waypoints, terms: &[Penalty]) -> f64 {
-        let smoothness: f64 = (0..self.kinematics.dof())
+        self.smoothness(path) + terms.iter().map(|t| t.cost).sum::<f64>()
+    }
+
+    /// The objective without penalties.
+    pub(crate) fn smoothness(&self, path: &Waypoints) -> f64 {
+        (0..self.kinematics.dof())
             .map(|i| {
                 let column: Vec<f64> = path.iter().map(|x| x[i]).collect();
                 let at = |t: isize| column[t.clamp(0, column.len() as isize - 1) as usize];
@@ -246,8 +251,19 @@ impl Problem<'_> {
                     .sum();
                 self.velocity_weights[i] * steps + self.acceleration_weights[i] * bends
             })
-            .sum();
-        smoothness + terms.iter().map(|t| t.cost).sum::<f64>()
+            .sum()
+    }
+
+    /// Half the derivative of [`Self::smoothness`] with respect to a variable of a waypoint that is neither the first
+    /// nor the last.
+    pub(crate) fn smoothness_slope(&self, path: &Waypoints, waypoint: usize, i: usize) -> f64 {
+        let last = path.len() as isize - 1;
+        let at = |t: isize| path[t.clamp(0, last) as usize][i];
+        let t = waypoint as isize;
+        let bend = |t: isize| at(t + 1) - 2.0 * at(t) + at(t - 1);
+        let velocity = 2.0 * at(t) - at(t - 1) - at(t + 1);
+        let acceleration = bend(t - 1) - 2.0 * bend(t) + bend(t + 1);
+        self.velocity_weights[i] * velocity + self.acceleration_weights[i] * acceleration
     }
 
     /// A Gauss-Newton step in the null space of the constraints of waypoints 1..T.

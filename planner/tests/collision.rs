@@ -8,10 +8,12 @@ use std::sync::OnceLock;
 
 use akrobat_model::Pose;
 use akrobat_model::task::Task;
-use akrobat_planner::collision::{MovingCheck, Penalty, RobotBody};
+use akrobat_planner::closure::Closure;
+use akrobat_planner::collision::{MovingCheck, Obstacle, Penalty, RobotBody};
 use akrobat_planner::esdf::{Esdf, Triangles, collect_triangles};
 use akrobat_planner::ik::SeedRegion;
 use akrobat_planner::kinematics::{Frame, Kinematics};
+use akrobat_planner::trajopt::Problem;
 use akrobat_planner::world::{World, handle_center, moved_links, outward};
 use akrobat_planner::{PlannerConfig, Preparation, akr};
 use common::{distance_to_soup, grasp_at, numbers};
@@ -314,4 +316,88 @@ fn pairs_leave_out_neighbours_and_include_far_links() {
     let listed = &bench.task.robot.file.self_collision_ignore;
     assert!(!listed.is_empty() && listed.iter().all(|[a, b]| !checked(a, b)));
     assert!(!checked("front_left_wheel", "summit_base"), "rigid with each other");
+}
+
+/// The rows of the penalty recipe's gradient, by central differences.
+#[test]
+fn gradient_of_the_penalty_recipe() {
+    let Some(bench) = bench() else { return };
+    let grasp = grasp_at(&bench.task.object, Pose::identity());
+    let akr = akr::assemble(&bench.task.robot, &bench.task.object, &grasp).unwrap();
+    let anchor = &bench.task.object.world_from_root;
+    let closure = Closure::new(&akr, &bench.kinematics, anchor).unwrap();
+    let config = PlannerConfig { waypoints: 5, ..PlannerConfig::default() };
+    let dof = bench.kinematics.dof();
+    let problem = Problem {
+        kinematics: &bench.kinematics,
+        closure: &closure,
+        body: &bench.body,
+        world: &bench.world,
+        config: &config,
+        velocity_weights: Problem::weights(config.velocity_weights, 3, dof),
+        acceleration_weights: Problem::weights(config.acceleration_weights, 3, dof),
+        mobility: vec![1.0; dof],
+    };
+    // Near the constraint, where the residual's derivative is exact, and far from everything else.
+    let mut x = vec![0.0; dof];
+    let rest = bench.task.robot.arm_joints.iter();
+    let arm = rest.map(|&j| bench.task.robot.tree.joint_position(j, &bench.task.robot.rest));
+    x[3..dof - 1].iter_mut().zip(arm).for_each(|(x, q)| *x = q);
+    let mut path: Vec<Vec<f64>> = (0..5)
+        .map(|t| x.iter().enumerate().map(|(i, x)| x + 0.01 * ((t * t + i) as f64).sin()).collect())
+        .collect();
+    // A constraint that this path nearly fulfils: the object stands where the middle waypoint has it.
+    let frames = bench.kinematics.forward(&path[2]);
+    let attachment = bench.kinematics.attachment(akr.object_root);
+    let node = frames.frames[attachment.node.unwrap()];
+    let held = node.compose(&Frame::from(&(attachment.node_from_link * akr.root_link_from_object)));
+    let rotation = nalgebra::UnitQuaternion::from_matrix(&held.rotation);
+    let place = Pose::from_parts(held.translation.into(), rotation);
+    let closure = Closure::new(&akr, &bench.kinematics, &place).unwrap();
+    let problem = Problem { closure: &closure, ..problem };
+    let mut gradient = vec![0.0; 3 * dof];
+    problem.penalised(&path, &mut gradient);
+    let mut unused = gradient.clone();
+    let largest = gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
+    for t in 1..4 {
+        for i in 0..dof {
+            let at = path[t][i];
+            let mut value = |to: f64| {
+                path[t][i] = to;
+                problem.penalised(&path, &mut unused)
+            };
+            let slope = (value(at + 1e-6) - value(at - 1e-6)) / 2e-6;
+            path[t][i] = at;
+            let own = gradient[(t - 1) * dof + i];
+            assert!(
+                (slope - own).abs() < 2e-3 * largest,
+                "waypoint {t} variable {i}: {slope} {own}"
+            );
+        }
+    }
+    assert!(largest > 1.0, "the path is off the constraint: {largest}");
+}
+
+/// A link that stands still is in the way of the arm and of the object, not of the floor.
+#[test]
+fn resting_links_are_compared_with_the_arm() {
+    let Some(bench) = bench() else { return };
+    // The same robot, its base taken for a pedestal.
+    let robot = &bench.task.robot;
+    let kinematics =
+        Kinematics::compile(&robot.tree, &robot.world_from_root, &robot.arm_joints, &robot.rest);
+    let (spheres, pairs) = (&bench.preparation.spheres, &bench.preparation.self_pairs);
+    let body = RobotBody::new(robot, spheres, pairs, &kinematics);
+    assert!(body.spheres.iter().any(|s| s.rests));
+    let least = |x: &[f64]| {
+        let frames = kinematics.forward(x);
+        let found = body.clearance(&frames, &bench.world, 0.0, MovingCheck::All, -1.0);
+        (found.distance_m, found.to)
+    };
+    let rest: Vec<f64> =
+        robot.arm_joints.iter().map(|&j| robot.tree.joint_position(j, &robot.rest)).collect();
+    assert!(least(&rest).0 > 0.0, "{:?}", least(&rest));
+    // The hand folded into its own foot.
+    let (distance, to) = least(&[0.0, -1.7, 0.0, -3.0, 0.0, 0.3, 0.0]);
+    assert!(distance < 0.0 && matches!(to, Obstacle::Link(_)), "{distance} {to:?}");
 }

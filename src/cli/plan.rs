@@ -65,6 +65,7 @@ pub fn run(args: &PlanArgs, context: &Context<'_>) -> Result<Report, Error> {
         threads: args.threads,
         explain: args.explain,
         backend: args.backend,
+        optimiser: None,
     };
     let report = pipeline::plan(&request, context)?;
     let accepted = report.set.trajectories.len();

@@ -8,6 +8,7 @@ use akrobat_assets::demo;
 use akrobat_model::robot::BaseKind;
 use akrobat_model::trajectory::Trajectory;
 use akrobat_model::{ModelError, TrajectorySet};
+use akrobat_planner::Optimiser;
 use serde::{Deserialize, Serialize};
 
 use super::{Context, PlanBackend, PlanRequest, plan};
@@ -58,6 +59,10 @@ pub struct PlanBenchRequest {
     pub threads: Option<usize>,
     /// Folders where assets are looked up.
     pub assets: Vec<PathBuf>,
+    /// How trajectories are optimised.
+    pub optimiser: Optimiser,
+    /// Folder that keeps each problem's trajectory file.
+    pub keep: Option<PathBuf>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -174,6 +179,9 @@ pub fn bench_plan(
         tempfile::tempdir().map_err(|e| Error::write(Path::new("temporary folder"), &e))?;
     let assets = assets(&request.assets, context)?;
     let (set, beside) = problem_set(request, &assets, folder.path())?;
+    if let Some(keep) = &request.keep {
+        std::fs::create_dir_all(keep).map_err(|e| Error::write(keep, &e))?;
+    }
     let (began, cpu_before) = (Instant::now(), resources::cpu_seconds());
     let (mut problems, mut left_out) = (Vec::new(), Vec::new());
     for problem in &set.problems {
@@ -182,7 +190,10 @@ pub fn bench_plan(
             continue;
         }
         let task = beside.join(&problem.task);
-        let output = folder.path().join("trajectories.h5");
+        let output = match &request.keep {
+            Some(keep) => keep.join(file_name(&problem.task)).with_extension("h5"),
+            None => folder.path().join("trajectories.h5"),
+        };
         problems.push(run_problem(request, problem, task, output, &assets, context)?);
     }
     let seconds = began.elapsed().as_secs_f64();
@@ -200,6 +211,10 @@ pub fn bench_plan(
         problems,
         left_out,
     })
+}
+
+fn file_name(path: &Path) -> &Path {
+    path.file_name().map_or(path, Path::new)
 }
 
 /// Folders given, and that of the shared inputs beside the checkout.
@@ -266,6 +281,7 @@ fn run_problem(
             threads: request.threads,
             explain: false,
             backend: PlanBackend::Cpu,
+            optimiser: Some(request.optimiser),
         },
         context,
     )?;

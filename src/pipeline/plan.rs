@@ -12,7 +12,7 @@ use akrobat_packager::trajectory_file;
 use akrobat_planner::plan::Explanation;
 use akrobat_planner::spheres::SphereFit;
 use akrobat_planner::world::World;
-use akrobat_planner::{Backend, PlanError, PlannerConfig, Preparation};
+use akrobat_planner::{Backend, Optimiser, PlanError, PlannerConfig, Preparation};
 
 use super::{Context, check_writable, folder_of, on_threads};
 use crate::Error;
@@ -59,6 +59,8 @@ pub struct PlanRequest {
     pub explain: bool,
     /// Where inverse kinematics and trajectory optimisation are computed.
     pub backend: PlanBackend,
+    /// Replaces the task's way of optimising.
+    pub optimiser: Option<Optimiser>,
 }
 
 /// What planning gave.
@@ -120,6 +122,7 @@ fn load_task(
             ModelError::invalid(&request.task, format!("[planner]: {}", e.message()))
         })?;
     config.limit = request.limit.unwrap_or(config.limit);
+    config.optimiser = request.optimiser.unwrap_or(config.optimiser);
     if let Err(message) = config.check() {
         return Err(ModelError::invalid(&request.task, format!("[planner]: {message}")).into());
     }

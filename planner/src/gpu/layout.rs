@@ -204,7 +204,9 @@ impl Chain {
     }
 
     fn local(&self, node: usize, center: &Vector3<f64>) -> [f32; 3] {
-        single(&self.turned[node].tr_mul(center))
+        // What rests has no node; nothing on the device refers to it.
+        let turned = self.turned.get(node);
+        single(&turned.map_or(*center, |turned| turned.tr_mul(center)))
     }
 }
 
@@ -234,8 +236,8 @@ impl Body {
         };
         Self {
             spheres: body.spheres.iter().map(sphere).collect(),
-            links: body.links().map(link).collect(),
-            pairs: body.link_pairs().map(|(a, b)| [a as u32, b as u32]).collect(),
+            links: body.moving_links().map(link).collect(),
+            pairs: body.moving_pairs().map(|(a, b)| [a as u32, b as u32]).collect(),
         }
     }
 }

@@ -1,17 +1,14 @@
 //! Free-space motion: RRT-Connect, shortcuts and smoothing.
 //!
-//! [`RobotSpace`] checks edges in lanes of eight configurations; [`Space`] takes any check of single
-//! configurations. Both run the same search, which counts iterations and never looks at a clock, so that a
-//! seed fixes the path.
+//! [`RobotSpace`] checks edges in lanes of eight configurations. The search counts iterations and never looks at a
+//! clock, so that a seed fixes the path.
 
 mod robot_space;
 mod rrt;
 mod simplify;
-mod space;
 mod tree;
 
 pub use robot_space::{Query, RobotSpace};
-pub use space::Space;
 
 use crate::kernels::validity::Config;
 use crate::kinematics::MAX_VARIABLES;
@@ -127,4 +124,56 @@ fn exact_ends(path: &[Config], start: &[f64], goal: &[f64]) -> Vec<Vec<f64>> {
         last.copy_from_slice(goal);
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::lanes::Simd;
+
+    /// A square whose points are checked one by one.
+    struct Square {
+        free: fn(f32, f32) -> bool,
+    }
+
+    impl Edges for Square {
+        fn is_free(&mut self, from: &Config, to: &Config) -> bool {
+            (0..=200).all(|i| {
+                let x = mix(from, to, i as f32 / 200.0);
+                (self.free)(x[0], x[1])
+            })
+        }
+    }
+
+    fn way(free: fn(f32, f32) -> bool, iterations: usize) -> Option<Vec<Config>> {
+        let domain = Domain { lower: vec![0.0; 2], upper: vec![1.0; 2], weights: vec![1.0; 2] };
+        let settings = Settings { step: 0.1, iterations, shortcuts: 80, ..Settings::default() };
+        let ends = [single(&[0.1, 0.1]), single(&[0.9, 0.1])];
+        let (mut edges, mut rng) = (Square { free }, rrt::numbers(4, 0));
+        let simd = Simd::detect();
+        let found =
+            rrt::connect(&mut edges, &domain, &settings, &ends[0], &ends[1], &mut rng, simd)?;
+        Some(simplify::simplify(&mut edges, &domain, &settings, found.path, &mut rng))
+    }
+
+    #[test]
+    fn finds_the_gap_and_stays_free() {
+        // A wall with a gap at its upper end.
+        let wall: fn(f32, f32) -> bool = |x, y| !(0.45..0.55).contains(&x) || y > 0.8;
+        let path = way(wall, 2000).unwrap();
+        let (first, last) = (path[0], path[path.len() - 1]);
+        assert_eq!((&first[..2], &last[..2]), (&[0.1, 0.1][..], &[0.9, 0.1][..]));
+        for pair in path.windows(2) {
+            for i in 0..=100 {
+                let x = mix(&pair[0], &pair[1], i as f32 / 100.0);
+                assert!(wall(x[0], x[1]), "{x:?}");
+            }
+        }
+        assert!(path.len() <= 5, "shortcuts leave few corners: {}", path.len());
+    }
+
+    #[test]
+    fn a_closed_wall_has_no_path() {
+        assert!(way(|x, _| !(0.45..0.55).contains(&x), 300).is_none());
+    }
 }

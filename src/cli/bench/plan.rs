@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use akrobat_planner::Optimiser;
+use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::cli::Report;
@@ -17,6 +18,7 @@ use crate::{Error, ExitCode};
 ///
 /// Examples:
 ///   akrobat bench plan --assets ASSETS             at most a minute
+///   akrobat bench plan --assets ASSETS --limit 12 --seconds 600 --recipe curobo
 ///   akrobat bench plan --assets ASSETS --limit 400 --seconds 600 --threads 1 --json
 ///
 /// The real robots and objects that the set names are looked up in `--assets`, `$AKROBAT_ASSET_PATH` and `../shared/assets`
@@ -39,6 +41,32 @@ pub struct PlanBenchArgs {
     /// Folder where assets are looked up; may be repeated.
     #[arg(long, value_name = "DIR")]
     assets: Vec<PathBuf>,
+    /// How trajectories are optimised: `manifold`, as planning does, or `curobo`, cuRobo's recipe (12 seeds, 100 iterations
+    /// of L-BFGS, 4 points in each line search, filter afterwards) with the same kernels, samples and judge.
+    #[arg(long, value_enum, default_value_t)]
+    recipe: Recipe,
+    /// Keep the trajectory file of each problem in this folder.
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+}
+
+/// How trajectories are optimised.
+#[derive(Debug, Clone, Copy, Default, ValueEnum)]
+enum Recipe {
+    /// Gauss-Newton steps along the constraint.
+    #[default]
+    Manifold,
+    /// Penalties, many seeds, a filter.
+    Curobo,
+}
+
+impl From<Recipe> for Optimiser {
+    fn from(recipe: Recipe) -> Self {
+        match recipe {
+            Recipe::Manifold => Self::Manifold,
+            Recipe::Curobo => Self::Curobo,
+        }
+    }
 }
 
 /// Runs the verb.
@@ -49,6 +77,8 @@ pub fn run(args: &PlanBenchArgs, context: &Context<'_>) -> Result<Report, Error>
         seconds: args.seconds,
         threads: args.threads,
         assets: args.assets.clone(),
+        optimiser: args.recipe.into(),
+        keep: args.keep.clone(),
     };
     let report = pipeline::bench_plan(&request, context)?;
     let mut json = serde_json::to_value(&report).unwrap_or_default();
