@@ -23,6 +23,12 @@ pub enum AssetError {
         /// What the encoder said.
         source: image::ImageError,
     },
+    /// A folder that would be written holds something already.
+    #[error("{}: the folder is not empty; name a new one, or remove it first", folder.display())]
+    Occupied {
+        /// The folder.
+        folder: PathBuf,
+    },
     /// A description does not form a kinematic tree.
     #[error(transparent)]
     Model(#[from] ModelError),

@@ -11,6 +11,7 @@ pub mod error;
 pub mod finish;
 pub mod grasp;
 pub mod handle;
+pub mod import;
 pub mod kitchen;
 pub mod loose;
 pub mod object;

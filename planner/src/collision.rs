@@ -41,27 +41,7 @@ pub fn self_collision_pairs(robot: &Robot, model: &SphereModel) -> LinkPairs {
     let variables = [&robot.base_joints[..], &robot.arm_joints].concat();
     let kinematics =
         Kinematics::compile(&robot.tree, &robot.world_from_root, &variables, &robot.rest);
-    let by_link = |link: usize| model.spheres.iter().filter(move |s| s.link == link);
-    let links: Vec<usize> =
-        (0..robot.tree.links().len()).filter(|&l| by_link(l).next().is_some()).collect();
-    let name = |link: usize| robot.tree.links()[link].name.as_str();
-    let listed = |a: usize, b: usize| {
-        robot
-            .file
-            .self_collision_ignore
-            .iter()
-            .any(|[x, y]| (x == name(a) && y == name(b)) || (x == name(b) && y == name(a)))
-    };
-    let mut pairs: LinkPairs = Vec::new();
-    for (i, &a) in links.iter().enumerate() {
-        for &b in &links[i + 1..] {
-            let node = |l: usize| kinematics.attachment(l).node;
-            let related = node(a) == node(b) || are_neighbours(robot, &kinematics, a, b);
-            if !related && !listed(a, b) {
-                pairs.push((a, b));
-            }
-        }
-    }
+    let mut pairs = pairs_to_compare(robot, model, &kinematics);
     let body = RobotBody::new(robot, model, &pairs, &kinematics);
     let hits: Vec<Vec<bool>> = mask_samples(robot, &kinematics, &variables)
         .par_iter()
@@ -77,6 +57,40 @@ pub fn self_collision_pairs(robot: &Robot, model: &SphereModel) -> LinkPairs {
     let always = MASK_SAMPLES * 9 / 10;
     let mut keep = hits.iter().map(|&h| h < always);
     pairs.retain(|_| keep.next().unwrap_or(true));
+    pairs
+}
+
+/// The link pairs that could be compared: neither adjacent (through links without geometry and fixed
+/// joints) nor listed in the robot file. Some of them may always touch.
+pub fn comparable_pairs(robot: &Robot, model: &SphereModel) -> LinkPairs {
+    let variables = [&robot.base_joints[..], &robot.arm_joints].concat();
+    let kinematics =
+        Kinematics::compile(&robot.tree, &robot.world_from_root, &variables, &robot.rest);
+    pairs_to_compare(robot, model, &kinematics)
+}
+
+fn pairs_to_compare(robot: &Robot, model: &SphereModel, kinematics: &Kinematics) -> LinkPairs {
+    let by_link = |link: usize| model.spheres.iter().filter(move |s| s.link == link);
+    let links: Vec<usize> =
+        (0..robot.tree.links().len()).filter(|&l| by_link(l).next().is_some()).collect();
+    let name = |link: usize| robot.tree.links()[link].name.as_str();
+    let listed = |a: usize, b: usize| {
+        robot
+            .file
+            .self_collision_ignore
+            .iter()
+            .any(|[x, y]| (x == name(a) && y == name(b)) || (x == name(b) && y == name(a)))
+    };
+    let mut pairs: LinkPairs = Vec::new();
+    for (i, &a) in links.iter().enumerate() {
+        for &b in &links[i + 1..] {
+            let node = |l: usize| kinematics.attachment(l).node;
+            let related = node(a) == node(b) || are_neighbours(robot, kinematics, a, b);
+            if !related && !listed(a, b) {
+                pairs.push((a, b));
+            }
+        }
+    }
     pairs
 }
 

@@ -86,20 +86,44 @@ pub fn fit_closely(tree: &KinematicTree, closeness: Closeness) -> SphereModel {
     fit_with(tree, &|_| closeness)
 }
 
+/// Fits at most `most` spheres in all, as closely as that allows: larger links get larger ones. Links in
+/// `fine` (fingers) are fitted closely in any case, since grasps are planned to the millimetre. Every link
+/// keeps one sphere at least, so a tree of very many links can exceed `most`.
+pub fn fit_within(tree: &KinematicTree, most: usize, fine: &[usize]) -> SphereModel {
+    let surfaces = LinkSurface::of_tree(tree);
+    let fitted = |looseness: f64| {
+        cover_all(&surfaces, &|surface| {
+            if fine.contains(&surface.index) {
+                return Closeness { protrusion_m: 0.006, most_per_link: 8, coverage: 0.95 };
+            }
+            let protrusion_m = (looseness * surface.extent.norm()).clamp(0.008, 0.07);
+            Closeness { protrusion_m, most_per_link: 64, coverage: 0.97 }
+        })
+    };
+    let mut looseness = 0.03;
+    loop {
+        let model = fitted(looseness);
+        looseness *= 1.25;
+        if model.spheres.len() <= most || looseness > 0.5 {
+            return model;
+        }
+    }
+}
+
 fn fit_with(
     tree: &KinematicTree,
     closeness: &(dyn Fn(&Vector3<f64>) -> Closeness + Sync),
 ) -> SphereModel {
+    cover_all(&LinkSurface::of_tree(tree), &|surface| closeness(&surface.extent))
+}
+
+fn cover_all(
+    surfaces: &[LinkSurface],
+    closeness: &(dyn Fn(&LinkSurface) -> Closeness + Sync),
+) -> SphereModel {
     use rayon::prelude::*;
-    let indices: Vec<usize> = (0..tree.links().len()).collect();
-    let fitted: Vec<_> = indices
-        .par_iter()
-        .filter_map(|&index| {
-            let triangles = link_triangles(&tree.links()[index]);
-            (!triangles.is_empty())
-                .then(|| fit_link(index, &tree.links()[index], &triangles, closeness))
-        })
-        .collect();
+    let fitted: Vec<_> =
+        surfaces.par_iter().map(|surface| surface.cover(&closeness(surface))).collect();
     let mut model = SphereModel { spheres: Vec::new(), fits: Vec::new() };
     for (spheres, report) in fitted {
         model.spheres.extend(spheres);
@@ -118,45 +142,64 @@ pub fn link_triangles(link: &Link) -> Triangles {
     triangles
 }
 
-fn fit_link(
+/// A link's surface, as fitting needs it.
+struct LinkSurface {
     index: usize,
-    link: &Link,
-    triangles: &Triangles,
-    closeness: &(dyn Fn(&Vector3<f64>) -> Closeness + Sync),
-) -> (Vec<Sphere>, SphereFit) {
-    let corners = triangles.iter().flatten();
-    let low = corners.clone().fold(Vector3::repeat(f64::INFINITY), |a, c| a.inf(c));
-    let high = corners.fold(Vector3::repeat(f64::NEG_INFINITY), |a, c| a.sup(c));
-    let extent = high - low;
-    let closeness = closeness(&extent);
-    let protrusion = closeness.protrusion_m;
-    let voxel = (extent.product().max(1e-9) / 30_000.0).cbrt().clamp(0.003, 0.03);
-    let pad = Vector3::repeat(3.0 * voxel);
-    let seed = [low - pad];
-    let field = Esdf::build(triangles, low - pad, high + pad, voxel, &seed);
+    name: String,
+    extent: Vector3<f64>,
+    field: Esdf,
+    samples: Vec<Vector3<f64>>,
+}
 
-    let samples = surface_samples(triangles, voxel, MAX_SAMPLES);
-    let mut candidates = interior_candidates(&field, protrusion);
-    thin_out(&mut candidates, MAX_CANDIDATES);
-    let mut shallow: Vec<_> = samples.iter().map(|s| (*s, protrusion)).collect();
-    thin_out(&mut shallow, MAX_CANDIDATES / 2);
-    candidates.extend(shallow);
+impl LinkSurface {
+    /// The surfaces of all links that have geometry.
+    fn of_tree(tree: &KinematicTree) -> Vec<Self> {
+        use rayon::prelude::*;
+        let indices: Vec<usize> = (0..tree.links().len()).collect();
+        indices.par_iter().filter_map(|&index| Self::new(index, &tree.links()[index])).collect()
+    }
 
-    let chosen = greedy_cover(&candidates, &samples, &closeness);
-    let covered =
-        samples.iter().filter(|s| chosen.iter().any(|(c, r)| (*s - c).norm() <= *r)).count();
-    let report = SphereFit {
-        link: link.name.clone(),
-        count: chosen.len(),
-        coverage: covered as f64 / samples.len().max(1) as f64,
-        protrusion_m: chosen.iter().map(|(c, r)| r + field.distance(c)).fold(0.0, f64::max),
-    };
-    let spheres = chosen.iter().map(|&(center, radius)| Sphere {
-        link: index,
-        center: center.into(),
-        radius,
-    });
-    (spheres.collect(), report)
+    fn new(index: usize, link: &Link) -> Option<Self> {
+        let triangles = link_triangles(link);
+        if triangles.is_empty() {
+            return None;
+        }
+        let corners = triangles.iter().flatten();
+        let low = corners.clone().fold(Vector3::repeat(f64::INFINITY), |a, c| a.inf(c));
+        let high = corners.fold(Vector3::repeat(f64::NEG_INFINITY), |a, c| a.sup(c));
+        let extent = high - low;
+        let voxel = (extent.product().max(1e-9) / 30_000.0).cbrt().clamp(0.003, 0.03);
+        let pad = Vector3::repeat(3.0 * voxel);
+        let field = Esdf::build(&triangles, low - pad, high + pad, voxel, &[low - pad]);
+        let samples = surface_samples(&triangles, voxel, MAX_SAMPLES);
+        Some(Self { index, name: link.name.clone(), extent, field, samples })
+    }
+
+    fn cover(&self, closeness: &Closeness) -> (Vec<Sphere>, SphereFit) {
+        let protrusion = closeness.protrusion_m;
+        let mut candidates = interior_candidates(&self.field, protrusion);
+        thin_out(&mut candidates, MAX_CANDIDATES);
+        let mut shallow: Vec<_> = self.samples.iter().map(|s| (*s, protrusion)).collect();
+        thin_out(&mut shallow, MAX_CANDIDATES / 2);
+        candidates.extend(shallow);
+
+        let chosen = greedy_cover(&candidates, &self.samples, closeness);
+        let inside = |s: &Vector3<f64>| chosen.iter().any(|(c, r)| (s - c).norm() <= *r);
+        let covered = self.samples.iter().filter(|s| inside(s)).count();
+        let beyond = chosen.iter().map(|(c, r)| r + self.field.distance(c));
+        let report = SphereFit {
+            link: self.name.clone(),
+            count: chosen.len(),
+            coverage: covered as f64 / self.samples.len().max(1) as f64,
+            protrusion_m: beyond.fold(0.0, f64::max),
+        };
+        let sphere = |&(center, radius): &(Vector3<f64>, f64)| Sphere {
+            link: self.index,
+            center: center.into(),
+            radius,
+        };
+        (chosen.iter().map(sphere).collect(), report)
+    }
 }
 
 /// Centres inside the surface, each with the radius that reaches `protrusion` beyond it.
@@ -314,4 +357,23 @@ fn measure(tree: &KinematicTree, link: usize, spheres: &[Sphere]) -> SphereFit {
 /// Meshes of several parts, for callers that need triangles in another frame.
 pub fn part_meshes<'a>(parts: impl IntoIterator<Item = &'a Part>) -> Vec<TriMesh> {
     parts.into_iter().flat_map(Part::triangulate).collect()
+}
+
+/// Spheres as the `collision_spheres` of a cuRobo robot YAML, which [`import_curobo`] reads.
+pub fn to_curobo_yaml(tree: &KinematicTree, model: &SphereModel) -> String {
+    use std::fmt::Write as _;
+    let mut text = String::from("collision_spheres:\n");
+    for (index, link) in tree.links().iter().enumerate() {
+        let own: Vec<&Sphere> = model.spheres.iter().filter(|s| s.link == index).collect();
+        if own.is_empty() {
+            continue;
+        }
+        // A JSON string is a YAML string; writing to a String cannot fail.
+        let _ = writeln!(text, "  {}:", serde_json::Value::from(link.name.as_str()));
+        for Sphere { center: [x, y, z], radius, .. } in own {
+            let _ =
+                writeln!(text, "    - {{center: [{x:.5}, {y:.5}, {z:.5}], radius: {radius:.5}}}");
+        }
+    }
+    text
 }

@@ -1,4 +1,7 @@
-//! `akrobat import`: what other tools recorded, as files of ours.
+//! `akrobat import`: what other tools made, as files of ours.
+
+mod assets;
+mod robot;
 
 use std::path::PathBuf;
 
@@ -18,6 +21,16 @@ pub struct ImportArgs {
 #[derive(Debug, Subcommand)]
 enum What {
     Trajectories(TrajectoriesArgs),
+    Robot(robot::RobotArgs),
+    #[command(name = "partnet")]
+    PartNet(assets::PartNetArgs),
+    Infinigen(assets::InfinigenArgs),
+    Mjcf(assets::MjcfArgs),
+    Urdf(assets::UrdfArgs),
+    Sdf(assets::SdfArgs),
+    #[command(name = "procthor")]
+    ProcThor(assets::ProcThorArgs),
+    Grasps(assets::GraspsArgs),
 }
 
 /// Turn recordings into a trajectory file, to render them with any cameras.
@@ -64,7 +77,20 @@ struct TrajectoriesArgs {
 
 /// Runs the verb.
 pub fn run(args: &ImportArgs, context: &Context<'_>) -> Result<Report, Error> {
-    let What::Trajectories(args) = &args.what;
+    match &args.what {
+        What::Trajectories(args) => trajectories(args, context),
+        What::Robot(args) => robot::run(args, context),
+        What::PartNet(args) => assets::run_partnet(args, context),
+        What::Infinigen(args) => assets::run_infinigen(args, context),
+        What::Mjcf(args) => assets::run_mjcf(args, context),
+        What::Urdf(args) => assets::run_urdf(args, context),
+        What::Sdf(args) => assets::run_sdf(args, context),
+        What::ProcThor(args) => assets::run_procthor(args, context),
+        What::Grasps(args) => assets::run_grasps(args),
+    }
+}
+
+fn trajectories(args: &TrajectoriesArgs, context: &Context<'_>) -> Result<Report, Error> {
     let request = ImportRequest {
         input: args.input.clone(),
         task: args.task.clone(),

@@ -226,6 +226,9 @@ impl From<AssetError> for Error {
             AssetError::Dimension { .. } | AssetError::NotApplicable { .. } => {
                 Self::Usage(error.to_string())
             }
+            AssetError::Model(error) => Self::Input(error),
+            AssetError::Occupied { .. } => Self::Usage(error.to_string()),
+            AssetError::Write { path, source } => Self::write(&path, &source),
             _ => Self::Failed(error.to_string()),
         }
     }

@@ -7,6 +7,8 @@ mod evaluate;
 mod export;
 mod generate;
 mod import;
+mod import_assets;
+mod import_robot;
 mod judge;
 mod plan;
 mod planned;
@@ -32,6 +34,10 @@ pub use evaluate::{EvalJob, evaluate};
 pub use export::{ExportReport, ExportRequest, card, export};
 pub use generate::{GenerateObjectReport, GenerateObjectRequest, generate_object};
 pub use import::{ImportReport, ImportRequest, import};
+pub use import_assets::{
+    AssetKind, AssetSource, ImportAssetReport, ImportAssetRequest, import_asset, import_grasps,
+};
+pub use import_robot::{ImportRobotReport, ImportRobotRequest, import_robot};
 pub use judge::{JudgeRequest, Judged, judge};
 pub use plan::{PlanBackend, PlanReport, PlanRequest, plan};
 pub use planned::planned_task;

@@ -1,0 +1,208 @@
+//! Objects, scenes and grasps of other collections -> our layout.
+
+use std::path::{Path, PathBuf};
+
+use akrobat_assets::import::infinigen::{self, Catalog};
+use akrobat_assets::import::partnet::{self, Size};
+use akrobat_assets::import::{
+    ImportedObject, ImportedScene, Ledger, Origin, classes, grasps, layout, mjcf, procthor, sdf,
+    static_scene,
+};
+use akrobat_model::load::AssetSearch;
+use akrobat_model::urdf;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::Context;
+use crate::Error;
+
+/// What is to be imported, and how.
+#[derive(Debug, Clone)]
+pub enum AssetSource {
+    /// A PartNet-Mobility folder.
+    PartNet {
+        /// Class, where `meta.json` states none or the wrong one.
+        class: Option<String>,
+        /// How large it is to be.
+        size: Size,
+    },
+    /// An Infinigen scene.
+    Infinigen {
+        /// `solve_state.json`.
+        state: Option<PathBuf>,
+        /// Folder of articulated objects that replace placeholders.
+        objects: Option<PathBuf>,
+    },
+    /// An MJCF model; an object or a scene by what is in it where nothing is said.
+    Mjcf(Option<AssetKind>),
+    /// A URDF.
+    Urdf(AssetKind),
+    /// An SDF world or model, or Drake's directives.
+    Sdf,
+    /// A ProcTHOR or AI2-THOR house.
+    ProcThor {
+        /// Sizes of assets.
+        database: Option<PathBuf>,
+    },
+}
+
+/// What a description is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AssetKind {
+    /// Something with joints, or something rigid.
+    Object,
+    /// Surroundings.
+    Scene,
+}
+
+/// What is to be imported, and where to.
+#[derive(Debug, Clone)]
+pub struct ImportAssetRequest {
+    /// The file or folder.
+    pub input: PathBuf,
+    /// What it is.
+    pub source: AssetSource,
+    /// Folder to write.
+    pub output: PathBuf,
+    /// Folders where assets are looked up.
+    pub assets: Vec<PathBuf>,
+}
+
+/// What an import gave.
+#[derive(Debug, Clone, Serialize)]
+pub struct ImportAssetReport {
+    /// Folder that was written.
+    pub output: PathBuf,
+    /// The URDF in it that tasks name.
+    pub urdf: PathBuf,
+    /// The manifest's content.
+    pub manifest: Value,
+    /// What was repaired.
+    pub repairs: Vec<String>,
+    /// What could not be taken over.
+    pub lost: Vec<String>,
+}
+
+enum Imported {
+    Object(ImportedObject),
+    Scene(ImportedScene),
+}
+
+/// Imports an object or a scene.
+///
+/// # Errors
+/// Where the input is wrong, or the folder cannot be written.
+pub fn import_asset(
+    request: &ImportAssetRequest,
+    context: &Context<'_>,
+) -> Result<ImportAssetReport, Error> {
+    let search = context.asset_search(&request.assets)?;
+    let imported = read(&request.input, &request.source, &search)?;
+    let (manifest, file, ledger) = match imported {
+        Imported::Object(object) => {
+            let manifest = layout::write_object(&request.output, &object)?;
+            (manifest, format!("{}.urdf", object.name), object.ledger)
+        }
+        Imported::Scene(scene) => {
+            let manifest = layout::write_scene(&request.output, &scene)?;
+            let mut ledger = scene.ledger;
+            scene.objects.into_iter().for_each(|placed| ledger.extend(placed.object.ledger));
+            (manifest, "scene.urdf".into(), ledger)
+        }
+    };
+    Ok(ImportAssetReport {
+        urdf: request.output.join(file),
+        output: request.output.clone(),
+        manifest,
+        repairs: ledger.repairs,
+        lost: ledger.lost,
+    })
+}
+
+fn read(input: &Path, source: &AssetSource, search: &AssetSearch) -> Result<Imported, Error> {
+    Ok(match source {
+        AssetSource::PartNet { class, size } => {
+            Imported::Object(partnet::read(input, class.as_deref(), *size)?)
+        }
+        AssetSource::Infinigen { state, objects } => {
+            let catalog = objects.as_deref().map(Catalog::of_folder).transpose()?;
+            let catalog = catalog.unwrap_or_default();
+            Imported::Scene(infinigen::read(input, state.as_deref(), &catalog, search)?)
+        }
+        AssetSource::Mjcf(kind) => {
+            let is_scene = match kind {
+                Some(kind) => *kind == AssetKind::Scene,
+                None => mjcf::is_scene(input)?,
+            };
+            if is_scene {
+                Imported::Scene(mjcf::read_scene(input)?)
+            } else {
+                Imported::Object(mjcf::read_object(input, None)?)
+            }
+        }
+        AssetSource::Urdf(kind) => {
+            let (tree, notes) = urdf::read(input, search)?;
+            let name = layout::file_name(&input.file_stem().unwrap_or_default().to_string_lossy());
+            let mut ledger = Ledger::default();
+            notes.into_iter().for_each(|note| ledger.repaired(note));
+            let origin = Origin { source: format!("URDF {name}"), license: String::new() };
+            match kind {
+                AssetKind::Object => Imported::Object(ImportedObject {
+                    class: classes::of_file_name(&name),
+                    name,
+                    tree,
+                    origin,
+                    semantics: Vec::new(),
+                    ledger,
+                }),
+                AssetKind::Scene => Imported::Scene(static_scene(name, &tree, origin, ledger)?),
+            }
+        }
+        AssetSource::Sdf => Imported::Scene(sdf::read_scene(input, search)?),
+        AssetSource::ProcThor { database } => {
+            Imported::Scene(procthor::read(input, database.as_deref())?)
+        }
+    })
+}
+
+impl ImportAssetReport {
+    /// For people.
+    pub fn text(&self) -> String {
+        let count = |key: &str| self.manifest[key].as_array().map_or(0, Vec::len);
+        let kind = self.manifest["kind"].as_str().unwrap_or("asset");
+        let what = match kind {
+            "scene" => {
+                format!("{} bodies, {} articulated objects", count("bodies"), count("objects"))
+            }
+            _ => {
+                let class = self.manifest["class"].as_str().unwrap_or("");
+                format!("{class}, {} joints, {} links", count("joints"), self.manifest["links"])
+            }
+        };
+        let mut lines = vec![format!("{}: {kind} of {what}", self.urdf.display())];
+        lines.extend(self.repairs.iter().map(|repair| format!("  repaired {repair}")));
+        lines.extend(self.lost.iter().map(|lost| format!("  lost     {lost}")));
+        lines.join("\n")
+    }
+}
+
+/// Imports grasps into a text file that tasks name; gives their number and the ledger.
+///
+/// # Errors
+/// Where the input is wrong, or the file cannot be written.
+pub fn import_grasps(
+    input: &Path,
+    convention: grasps::Convention,
+    output: &Path,
+) -> Result<(usize, Ledger), Error> {
+    super::check_writable(output)?;
+    let imported = grasps::read(input, convention)?;
+    let source = input.file_name().unwrap_or_default().to_string_lossy();
+    let text = grasps::to_text(&imported, &source);
+    let folder = super::folder_of(output);
+    let fresh = tempfile::NamedTempFile::new_in(folder).map_err(|e| Error::write(output, &e))?;
+    std::fs::write(fresh.path(), text).map_err(|e| Error::write(output, &e))?;
+    fresh.as_file().sync_all().map_err(|e| Error::write(output, &e))?;
+    fresh.persist(output).map_err(|e| Error::write(output, &e.error))?;
+    Ok((imported.poses.len(), imported.ledger))
+}
