@@ -1,4 +1,4 @@
-//! `akrobat generate`: procedural objects.
+//! `akrobat generate`: procedural objects and scenes.
 
 use std::path::PathBuf;
 
@@ -8,9 +8,9 @@ use clap::{Args, Subcommand, ValueEnum};
 
 use super::Report;
 use crate::Error;
-use crate::pipeline::{self, Context, GenerateObjectRequest};
+use crate::pipeline::{self, Context, GenerateObjectRequest, GenerateScenesRequest, SceneSet};
 
-/// Make objects to manipulate, without downloads: the same seed gives the same files.
+/// Make objects to manipulate and scenes to do it in, without downloads: the same seed gives the same files.
 #[derive(Debug, Args)]
 pub struct GenerateArgs {
     #[command(subcommand)]
@@ -20,6 +20,7 @@ pub struct GenerateArgs {
 #[derive(Debug, Subcommand)]
 enum What {
     Object(ObjectArgs),
+    Scene(SceneArgs),
 }
 
 /// Make an appliance, a piece of furniture or a thing to pick up: URDF, meshes with materials, grasps, a
@@ -65,9 +66,104 @@ struct ObjectArgs {
     /// Seed of everything that is not given.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Draw it as well, closed and opened: object.png.
+    #[arg(long)]
+    picture: bool,
     /// Robot file of the task; the built-in robot's where absent.
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
+}
+
+/// Make furnished kitchens: walls with a window and a door, runs of units with appliances, worktops, table,
+/// chairs, clutter. Each scene comes as glTF, URDF and USD with a manifest (scene.json), its articulated objects,
+/// and a task file for each object and robot.
+///
+/// Every scene is checked: no two bodies intersect by more than 1 mm; refrigerator, sink and oven form a work
+/// triangle; what is to be opened has room to open; and a robot can stand in reach of each handle, closed and
+/// opened, at places that a free way connects. No two scenes of a set are the same.
+///
+/// Examples:
+///   akrobat generate scene -o scenes                                    one kitchen
+///   akrobat generate scene --count 300 --density open..confined -o scenes --pictures
+///   akrobat generate scene --count 20 --density 0.8 --robot configs/robots/tiago.toml -o scenes
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+struct SceneArgs {
+    /// Folder to write: empty or new.
+    #[arg(long, short)]
+    output: PathBuf,
+    /// Number of scenes.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    count: usize,
+    /// open, medium, confined or a number from 0 to 1; or a range of two, such as `open..confined`.
+    #[arg(long, value_name = "DENSITY", default_value = "medium")]
+    density: String,
+    /// Seed of the first scene; the others follow.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Robot file that tasks are written for, instead of the built-in robot; may be repeated.
+    #[arg(long, value_name = "FILE")]
+    robot: Vec<PathBuf>,
+    /// Draw the scenes: contact_sheet.png.
+    #[arg(long)]
+    pictures: bool,
+    /// Number of threads; one for each core where absent.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+}
+
+/// Confinement at both ends of a range.
+fn confinement(density: &str) -> Result<[f64; 2], Error> {
+    let one = |word: &str| match word {
+        "open" => Some(0.0),
+        "medium" => Some(0.5),
+        "confined" => Some(1.0),
+        number => number.parse().ok().filter(|share| (0.0..=1.0).contains(share)),
+    };
+    let (from, to) = density.split_once("..").unwrap_or((density, density));
+    match (one(from), one(to)) {
+        (Some(from), Some(to)) => Ok([from, to]),
+        _ => Err(Error::Usage(format!(
+            "--density: expected open, medium, confined or a number from 0 to 1, or a range such as open..confined, got \"{density}\""
+        ))),
+    }
+}
+
+fn scene(args: &SceneArgs, context: &Context<'_>) -> Result<Report, Error> {
+    let request = GenerateScenesRequest {
+        count: args.count,
+        confinement: confinement(&args.density)?,
+        seed: args.seed,
+        robots: args.robot.clone(),
+        pictures: args.pictures,
+        threads: args.threads,
+        output: args.output.clone(),
+    };
+    let set = pipeline::generate_scenes(&request, context)?;
+    let mut json = serde_json::to_value(&set).unwrap_or_default();
+    json["output"] = serde_json::json!(set.output);
+    json["seconds"] = serde_json::json!(set.seconds);
+    Ok(Report::done(scene_text(&set), json))
+}
+
+fn scene_text(set: &SceneSet) -> String {
+    let counts = |counts: &std::collections::BTreeMap<String, usize>| {
+        let words = counts.iter().map(|(name, count)| format!("{count} {name}"));
+        words.collect::<Vec<_>>().join(", ")
+    };
+    let attempts: u64 = set.scenes.iter().map(|scene| scene.attempts).sum();
+    format!(
+        "{}: {} scenes in {:.1} s, {:.2} attempts each\nlayouts: {}\ntasks by object: {}\ntasks by robot: {}\nfree floor: {:.0}% in the more open half, {:.0}% in the more confined one",
+        set.output.display(),
+        set.scenes.len(),
+        set.seconds,
+        attempts as f64 / set.scenes.len().max(1) as f64,
+        counts(&set.layouts),
+        counts(&set.classes),
+        counts(&set.robots),
+        100.0 * set.free_floor[0],
+        100.0 * set.free_floor[1],
+    )
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -127,9 +223,10 @@ enum Handle {
 }
 
 /// Runs the verb.
-pub fn run(args: &GenerateArgs, _context: &Context<'_>) -> Result<Report, Error> {
+pub fn run(args: &GenerateArgs, context: &Context<'_>) -> Result<Report, Error> {
     match &args.what {
         What::Object(args) => object(args),
+        What::Scene(args) => scene(args, context),
     }
 }
 
@@ -156,6 +253,7 @@ fn object(args: &ObjectArgs) -> Result<Report, Error> {
             seed: args.seed,
         },
         robot: args.robot.clone(),
+        picture: args.picture,
         output: args.output.clone(),
     };
     let report = pipeline::generate_object(&request)?;

@@ -10,6 +10,7 @@ mod import;
 mod inspect;
 mod merge;
 mod plan;
+mod produce;
 mod render;
 mod repair;
 mod replay;
@@ -52,6 +53,7 @@ enum Command {
     Demo(demo::DemoArgs),
     Generate(generate::GenerateArgs),
     Plan(plan::PlanArgs),
+    Produce(produce::ProduceArgs),
     Render(Box<render::RenderArgs>),
     Replay(replay::ReplayArgs),
     Eval(eval::EvalArgs),
@@ -117,6 +119,7 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Demo(args) => demo::run(args, context),
         Command::Generate(args) => generate::run(args, context),
         Command::Plan(args) => plan::run(args, context),
+        Command::Produce(args) => produce::run(args, context),
         Command::Render(args) => render::run(args, context),
         Command::Replay(args) => replay::run(args, context),
         Command::Eval(args) => eval::run(args, context),

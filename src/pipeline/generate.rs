@@ -4,9 +4,12 @@ use std::path::{Path, PathBuf};
 
 use akrobat_assets::object::{self, GeneratedObject, ObjectClass, ObjectRequest};
 use akrobat_assets::robot::DemoRobot;
+use akrobat_model::load::AssetSearch;
+use akrobat_model::mesh_io::MeshCache;
+use akrobat_model::urdf;
 use serde::Serialize;
 
-use super::folder_of;
+use super::{folder_of, overview};
 use crate::Error;
 
 /// The object to be made.
@@ -20,6 +23,8 @@ pub struct GenerateObjectRequest {
     pub parameters: ObjectRequest,
     /// Robot file of the task that is written beside it; the built-in robot's where absent.
     pub robot: Option<PathBuf>,
+    /// Draw it as well, closed and opened: `object.png`.
+    pub picture: bool,
     /// Folder to write: empty or new.
     pub output: PathBuf,
 }
@@ -55,7 +60,10 @@ pub fn generate_object(request: &GenerateObjectRequest) -> Result<GenerateObject
         .as_deref()
         .map(|file| file.canonicalize().map_err(|e| akrobat_model::ModelError::read(file, e)));
     let robot = robot.transpose()?;
-    written_whole(&request.output, |folder| write_object(folder, &object, robot.as_deref()))?;
+    written_whole(&request.output, |folder| {
+        write_object(folder, &object, robot.as_deref())?;
+        if request.picture { write_picture(folder, &object) } else { Ok(()) }
+    })?;
     Ok(GenerateObjectReport {
         urdf: request.output.join(format!("{name}.urdf")),
         task: request.output.join("task.toml"),
@@ -82,6 +90,25 @@ fn write_object(
     let task = folder.join("task.toml");
     std::fs::write(&task, object::task_text(object, &robot_file))
         .map_err(|e| Error::write(&task, &e))
+}
+
+/// The object closed and, where it opens, opened to its first goal.
+fn write_picture(folder: &Path, object: &GeneratedObject) -> Result<(), Error> {
+    let path = folder.join(format!("{}.urdf", object.description.name));
+    let tree = urdf::load(&path, &AssetSearch::default(), &mut MeshCache::default())?.tree;
+    let closed = tree.neutral();
+    let mut pictures = vec![overview::object_picture(&tree, &closed)?];
+    if let Some(articulation) = &object.articulation {
+        let mut opened = closed;
+        if let Some(column) = tree.column(tree.joint_index(&articulation.joint)?) {
+            opened[column] = articulation.goals.first().copied().unwrap_or(0.0);
+        }
+        pictures.push(overview::object_picture(&tree, &opened)?);
+    }
+    let path = folder.join("object.png");
+    overview::sheet(&pictures, pictures.len())
+        .save(&path)
+        .map_err(|e| Error::Failed(format!("{}: cannot write: {e}", path.display())))
 }
 
 fn check_name(name: &str) -> Result<(), Error> {

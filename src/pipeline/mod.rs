@@ -6,12 +6,15 @@ mod episodes;
 mod evaluate;
 mod export;
 mod generate;
+mod generate_scene;
 mod import;
 mod import_assets;
 mod import_robot;
 mod judge;
+mod overview;
 mod plan;
 mod planned;
+mod produce;
 mod render;
 mod replay;
 mod report;
@@ -33,6 +36,9 @@ pub use episodes::{EpisodeFilter, EpisodeList};
 pub use evaluate::{EvalJob, evaluate};
 pub use export::{ExportReport, ExportRequest, card, export};
 pub use generate::{GenerateObjectReport, GenerateObjectRequest, generate_object};
+pub use generate_scene::{
+    GenerateScenesRequest, SCENES_FILE, SceneEntry, SceneSet, SceneTask, generate_scenes,
+};
 pub use import::{ImportReport, ImportRequest, import};
 pub use import_assets::{
     AssetKind, AssetSource, ImportAssetReport, ImportAssetRequest, import_asset, import_grasps,
@@ -42,6 +48,7 @@ pub use judge::{JudgeRequest, Judged, judge};
 pub use plan::{PlanBackend, PlanReport, PlanRequest, plan};
 pub use planned::planned_task;
 use planned::selection;
+pub use produce::{ProduceReport, ProduceRequest, ProductionFile, Yield, produce};
 pub use render::{
     BackendChoice, DryRun, Format, RenderReport, RenderRequest, Sharing, States, dry_run, load_rig,
     render,

@@ -1,0 +1,118 @@
+//! `akrobat produce`: plans in many generated scenes.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Report;
+use crate::pipeline::{self, Context, ProduceReport, ProduceRequest, Yield};
+use crate::{Error, ExitCode};
+
+/// Plan trajectories for every object of many generated scenes, by every robot, and tell the yield.
+///
+/// One trajectory file for each scene, object and robot. Run again, a job goes on where it was stopped: tasks
+/// that were planned are not planned again. Exit code 3 where the time budget left some.
+///
+/// Examples:
+///   akrobat generate scene --count 20 --density open..confined -o scenes
+///   akrobat produce production.toml                      all of it
+///   akrobat produce production.toml --time-budget 3600   what an hour allows; then once more
+///   akrobat produce production.toml --scenes 20          a small one first
+///
+/// A job file:
+///   name = "kitchens"
+///   scenes = "scenes"
+///   output = "trajectories"
+///   classes = ["microwave", "drawer_unit", "refrigerator"]
+///   limit = 10
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+pub struct ProduceArgs {
+    /// Job file (TOML).
+    job: PathBuf,
+    /// Folder of the trajectory files, instead of the job's.
+    #[arg(long, short, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Number of scenes, spread over the set, instead of the job's.
+    #[arg(long, value_name = "N")]
+    scenes: Option<usize>,
+    /// Begin no task after this many seconds.
+    #[arg(long, value_name = "S")]
+    time_budget: Option<f64>,
+    /// Number of threads; one for each core where absent.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Folder where assets are looked up, as for `akrobat plan`; may be repeated.
+    #[arg(long, value_name = "DIR")]
+    assets: Vec<PathBuf>,
+}
+
+/// Runs the verb.
+pub fn run(args: &ProduceArgs, context: &Context<'_>) -> Result<Report, Error> {
+    if let Some(budget) = args.time_budget.filter(|s| !(s.is_finite() && *s >= 0.0)) {
+        return Err(Error::Usage(format!("--time-budget: expected seconds, got {budget}")));
+    }
+    let request = ProduceRequest {
+        job: args.job.clone(),
+        output: args.output.clone(),
+        scene_count: args.scenes,
+        time_budget_s: args.time_budget,
+        assets: args.assets.clone(),
+        threads: args.threads,
+    };
+    let report = pipeline::produce(&request, context)?;
+    let whole = report.is_complete() && report.total.accepted > 0;
+    Ok(Report {
+        text: text(&report),
+        json: serde_json::to_value(&report).unwrap_or_default(),
+        exit_code: if whole { ExitCode::Done } else { ExitCode::Incomplete },
+    })
+}
+
+fn text(report: &ProduceReport) -> String {
+    let mut lines = vec![
+        format!(
+            "{}: {} tasks planned, {} planned before, {} left; in {}",
+            report.name,
+            report.planned,
+            report.resumed,
+            report.left,
+            report.output.display()
+        ),
+        format!(
+            "{:<24}{:>8}{:>8}{:>10}{:>10}{:>10}",
+            "", "tasks", "solved", "accepted", "seconds", "per hour"
+        ),
+        line("all", &report.total),
+    ];
+    for (title, sums) in [
+        ("confinement", &report.by_confinement),
+        ("layout", &report.by_layout),
+        ("object", &report.by_class),
+        ("robot", &report.by_robot),
+    ] {
+        lines.push(title.into());
+        lines.extend(table(sums));
+    }
+    if !report.reasons.is_empty() {
+        lines.push("what stopped trajectories and tasks".into());
+        lines.extend(report.reasons.iter().map(|(name, count)| format!("{count:>9}  {name}")));
+    }
+    lines.join("\n")
+}
+
+fn table(sums: &BTreeMap<String, Yield>) -> Vec<String> {
+    sums.iter().map(|(name, sum)| line(&format!("  {name}"), sum)).collect()
+}
+
+fn line(name: &str, sum: &Yield) -> String {
+    format!(
+        "{name:<24}{:>8}{:>8}{:>10}{:>10.0}{:>10.0}",
+        sum.tasks,
+        sum.solved,
+        sum.accepted,
+        sum.seconds,
+        sum.per_hour()
+    )
+}

@@ -1,0 +1,150 @@
+//! Pictures of scenes and objects as a whole, by the `soft` renderer.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use akrobat_cameras::Intrinsics;
+use akrobat_model::mesh_io::gltf;
+use akrobat_model::{KinematicTree, Phase, Pose, TriMesh};
+use akrobat_renderer::scene::UnnumberedBody;
+use akrobat_renderer::{Backend, BodyGroup, FrameState, PlacedCamera, RenderScene, SoftBackend};
+use image::{RgbImage, imageops};
+use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::Error;
+use crate::report::picture;
+
+/// Size that is drawn, and the size that is kept: the difference smooths edges.
+const DRAWN: [u32; 2] = [640, 480];
+const KEPT: [u32; 2] = [320, 240];
+const FIELD_OF_VIEW_RAD: f64 = 0.75;
+/// Walls that stand between the camera and the room, and what hangs in them.
+const LEFT_OUT: [&str; 3] = ["wall_3", "wall_4", "door_1"];
+
+/// A generated scene from above, from the south-east; the walls before it are left out.
+pub fn scene_picture(glb: &Path) -> Result<RgbImage, Error> {
+    let scene = gltf::load_scene(glb)?;
+    let nodes = scene.nodes.into_iter().filter(|node| !LEFT_OUT.contains(&node.name.as_str()));
+    let bodies = nodes
+        .map(|node| {
+            (node.name, node.world_from_node, node.meshes.into_iter().map(Arc::new).collect())
+        })
+        .collect();
+    draw(bodies, Vector3::new(0.75, -0.85, 1.15))
+}
+
+/// An object from its front, its joints at a configuration.
+pub fn object_picture(tree: &KinematicTree, q: &[f64]) -> Result<RgbImage, Error> {
+    let poses = tree.link_poses(&Pose::identity(), q);
+    let bodies = tree
+        .links()
+        .iter()
+        .zip(poses)
+        .map(|(link, pose)| {
+            let meshes = link.visuals.iter().flat_map(|part| part.triangulate());
+            (link.name.clone(), pose, meshes.map(Arc::new).collect())
+        })
+        .collect();
+    draw(bodies, Vector3::new(1.0, -0.75, 0.55))
+}
+
+/// Bodies by name, with poses and meshes, seen from a direction at the distance that holds all of them.
+fn draw(
+    bodies: Vec<(String, Pose, Vec<Arc<TriMesh>>)>,
+    from: Vector3<f64>,
+) -> Result<RgbImage, Error> {
+    let points = bodies.iter().flat_map(|(_, pose, meshes)| {
+        let vertices = meshes.iter().flat_map(|mesh| mesh.positions.iter());
+        vertices.map(move |p| pose * Point3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2])))
+    });
+    let world_from_camera = framing(&points.collect::<Vec<_>>(), from);
+    let world_from_body = bodies.iter().map(|(_, pose, _)| *pose).collect();
+    let unnumbered: Vec<UnnumberedBody> = bodies
+        .into_iter()
+        .enumerate()
+        .map(|(index, (name, _, meshes))| (BodyGroup::Scene, name.clone(), name, index, meshes))
+        .collect();
+    let scene = RenderScene::new("overview".into(), unnumbered)?;
+    let camera = PlacedCamera {
+        name: "overview".into(),
+        intrinsics: Intrinsics::from_horizontal_fov(DRAWN[0], DRAWN[1], FIELD_OF_VIEW_RAD),
+        near_m: 0.05,
+        far_m: 60.0,
+        world_from_camera,
+        normals: false,
+    };
+    let frames = SoftBackend::new().render(&scene, &still(world_from_body), &[camera])?;
+    let drawn = frames.first().map(picture::color).unwrap_or_default();
+    Ok(imageops::resize(&drawn, KEPT[0], KEPT[1], imageops::FilterType::Triangle))
+}
+
+fn still(world_from_body: Vec<Pose>) -> FrameState {
+    FrameState {
+        frame: 0,
+        time_s: 0.0,
+        phase: Phase::Manipulate,
+        world_from_body,
+        world_from_robot_link: Vec::new(),
+        world_from_object_link: Vec::new(),
+        robot: Vec::new(),
+        object: Vec::new(),
+        world_from_tool: Pose::identity(),
+        world_from_base: Pose::identity(),
+        world_from_object: Pose::identity(),
+    }
+}
+
+/// Pose of a camera (x right, y down, z forward) that looks at the points' middle and sees them all.
+fn framing(points: &[Point3<f64>], from: Vector3<f64>) -> Pose {
+    let fold = |pick: fn(f64, f64) -> f64, start: f64| {
+        Vector3::from_fn(|axis, _| points.iter().map(|p| p[axis]).fold(start, pick))
+    };
+    let (low, high) = (fold(f64::min, f64::INFINITY), fold(f64::max, f64::NEG_INFINITY));
+    let middle = (low + high) / 2.0;
+    let z = -from.normalize();
+    let x = z.cross(&Vector3::z()).normalize();
+    let y = z.cross(&x);
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
+    let tangent = (FIELD_OF_VIEW_RAD / 2.0).tan();
+    let aspect = f64::from(DRAWN[1]) / f64::from(DRAWN[0]);
+    let needed = |p: &Point3<f64>| {
+        let offset = p.coords - middle;
+        let across =
+            (offset.dot(&x).abs() / tangent).max(offset.dot(&y).abs() / (tangent * aspect));
+        across - offset.dot(&z)
+    };
+    let distance = points.iter().map(needed).fold(0.1, f64::max) * 1.04;
+    let eye = middle - z * distance;
+    Pose::from_parts(Translation3::from(eye), UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
+/// Pictures of one size side by side, about as wide as high.
+pub fn sheet(pictures: &[RgbImage], columns: usize) -> RgbImage {
+    let [width, height] = pictures.first().map_or([1, 1], |p| [p.width(), p.height()]);
+    let rows = pictures.len().div_ceil(columns.max(1)).max(1);
+    let mut sheet = RgbImage::new(width * columns as u32, height * rows as u32);
+    for (index, picture) in pictures.iter().enumerate() {
+        let (column, row) = (index % columns, index / columns);
+        imageops::replace(
+            &mut sheet,
+            picture,
+            i64::from(width) * column as i64,
+            i64::from(height) * row as i64,
+        );
+    }
+    sheet
+}
+
+/// A contact sheet; pictures become smaller where there are many.
+pub fn write_sheet(path: &Path, pictures: &[RgbImage]) -> Result<(), Error> {
+    let columns = (pictures.len() as f64).sqrt().ceil() as usize;
+    let width = (2560 / columns.max(1) as u32).clamp(96, KEPT[0]);
+    let height = width * KEPT[1] / KEPT[0];
+    let small: Vec<RgbImage> = pictures
+        .iter()
+        .map(|p| imageops::resize(p, width, height, imageops::FilterType::Triangle))
+        .collect();
+    sheet(&small, columns)
+        .save(path)
+        .map_err(|e| Error::Failed(format!("{}: cannot write: {e}", path.display())))
+}
