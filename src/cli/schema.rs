@@ -44,6 +44,8 @@ enum Kind {
     Variation,
     /// Jobs of `akrobat run`.
     Job,
+    /// Jobs of `akrobat produce`.
+    Production,
     /// The `[planner]` table of task files.
     Planner,
     /// The judge's tolerances.
@@ -62,6 +64,7 @@ impl Kind {
             Self::Lighting => "lighting",
             Self::Variation => "variation",
             Self::Job => "job",
+            Self::Production => "production",
             Self::Planner => "planner",
             Self::Judge => "judge",
             Self::Physics => "physics",
@@ -77,6 +80,7 @@ impl Kind {
             Self::Lighting => schemars::schema_for!(akrobat_renderer::Lighting),
             Self::Variation => schemars::schema_for!(akrobat_renderer::Variation),
             Self::Job => schemars::schema_for!(crate::pipeline::JobFile),
+            Self::Production => schemars::schema_for!(crate::pipeline::ProductionFile),
             Self::Planner => schemars::schema_for!(akrobat_planner::PlannerConfig),
             Self::Judge => schemars::schema_for!(akrobat_judge::JudgeConfig),
             Self::Physics => schemars::schema_for!(crate::pipeline::PhysicsConfig),
