@@ -397,13 +397,21 @@ impl Combination {
         let temporary = tempfile::tempdir()
             .map_err(|e| Error::Failed(format!("cannot make a temporary folder: {e}")))?;
         // The first time, meshes are cut into clusters and buffers grow.
-        job.sample(target.selected[0], 1, &temporary.path().join("first"), backend)?;
+        let first = temporary.path().join("first");
+        let few = job.sample(target.selected[0], 1, &first, backend)?;
         let folder = temporary.path().join("sample");
         let started = Instant::now();
         let frames = job.sample(target.selected[0], SAMPLED_FRAMES, &folder, backend)?;
         let share = output.frames as f64 / f64::from(frames);
+        // Tables and manifests take their bytes once, whatever the number of frames.
+        let [smaller, larger] = [folder_bytes(&first)? as f64, folder_bytes(&folder)? as f64];
+        let per_frame = match frames > few {
+            true => (larger - smaller).max(0.0) / f64::from(frames - few),
+            false => larger / f64::from(frames),
+        };
+        let further = output.frames as f64 - f64::from(frames);
         Ok(RunOutput {
-            expected_bytes: Some((folder_bytes(&folder)? as f64 * share) as u64),
+            expected_bytes: Some((larger + per_frame * further).max(0.0) as u64),
             expected_seconds: Some(started.elapsed().as_secs_f64() * share),
             ..output
         })
