@@ -39,6 +39,16 @@ MODALITIES = [
 ]
 SENSORS = ["ideal", "kinect", "redwood", "stereo", "color"]
 CAMERA = "fixed"
+# One camera: a Kinect sees nothing as close as a wrist is, and episodes in which a camera sees nothing are left out.
+RIG = f"""
+name = "pictures"
+[[cameras]]
+name = "{CAMERA}"
+focal_mm = 50.0
+[cameras.mount]
+on = "look_at_handle"
+offset = [1.6, 0.8, 0.9]
+"""
 
 Picture = NDArray[Any]
 
@@ -62,10 +72,13 @@ def main() -> None:
 
 def render(source: Path, folder: Path, sensor: str, assets: list[Path]) -> dict[str, Picture]:
     """One camera's images in the middle of the manipulation."""
+    rig = folder.with_suffix(".toml")
+    rig.write_text(RIG)
     dataset = akrobat.render(
         source,
         folder,
         backend="soft",
+        rig=rig,
         sensor=sensor,
         modalities=MODALITIES,
         cloud={"points": 0},
@@ -74,9 +87,8 @@ def render(source: Path, folder: Path, sensor: str, assets: list[Path]) -> dict[
         assets=assets,
         quiet=True,
     )
-    episode = dataset[0]
-    middle = len(episode["time"]) // 2
-    return {m: np.squeeze(episode[f"camera_obs/{CAMERA}_{m}"][middle]) for m in MODALITIES}
+    frame = dataset[len(dataset) // 2]
+    return {m: np.squeeze(frame[f"camera_obs/{CAMERA}_{m}"]) for m in MODALITIES}
 
 
 def depth_colors(depth_mm: Picture, span: tuple[float, float]) -> Picture:
