@@ -39,7 +39,7 @@ MODALITIES = [
 ]
 SENSORS = ["ideal", "kinect", "redwood", "stereo", "color"]
 CAMERA = "fixed"
-# One camera: a Kinect sees nothing as close as a wrist is, and episodes in which a camera sees nothing are left out.
+# One camera: on a wrist, a Kinect is too close to see, and such episodes are left out.
 RIG = f"""
 name = "pictures"
 [[cameras]]
