@@ -319,11 +319,7 @@ fn replacement(
 fn make_unique(objects: &mut [PlacedObject]) {
     let mut seen = std::collections::HashSet::new();
     for placed in objects {
-        let base = placed.object.name.clone();
-        let mut number = 2;
-        while !seen.insert(placed.object.name.clone()) {
-            placed.object.name = format!("{base}_{number}");
-            number += 1;
-        }
+        placed.object.name = super::free_name(&placed.object.name, |name| seen.contains(name));
+        seen.insert(placed.object.name.clone());
     }
 }

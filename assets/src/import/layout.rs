@@ -153,7 +153,7 @@ impl MeshFiles {
                     make_folder(folder)?;
                     self.made = true;
                 }
-                let name = self.free_name(&file_name(&format!("{link}_{}", part.name)));
+                let name = self.free_mesh_name(&file_name(&format!("{link}_{}", part.name)));
                 let shown = meshes.iter().map(|mesh| match &appearance {
                     Some(material) => TriMesh { material: material.clone(), ..mesh.clone() },
                     None => mesh.clone(),
@@ -167,15 +167,10 @@ impl MeshFiles {
         Ok(())
     }
 
-    fn free_name(&self, wanted: &str) -> String {
-        let taken = |name: &str| self.by_mesh.values().any(|(n, _)| n.eq_ignore_ascii_case(name));
-        let mut name = wanted.to_owned();
-        let mut number = 2;
-        while taken(&name) {
-            name = format!("{wanted}_{number}");
-            number += 1;
-        }
-        name
+    fn free_mesh_name(&self, wanted: &str) -> String {
+        super::free_name(wanted, |name| {
+            self.by_mesh.values().any(|(n, _)| n.eq_ignore_ascii_case(name))
+        })
     }
 }
 

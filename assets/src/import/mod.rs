@@ -128,19 +128,27 @@ pub(crate) fn read_text(path: &Path) -> Result<String, ModelError> {
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
+/// `wanted`, numbered from 2 where that is taken.
+pub(crate) fn free_name(wanted: &str, taken: impl Fn(&str) -> bool) -> String {
+    let mut name = wanted.to_owned();
+    let mut number = 2;
+    while taken(&name) {
+        name = format!("{wanted}_{number}");
+        number += 1;
+    }
+    name
+}
+
 /// Bodies with names that differ, which a written scene needs.
 pub(crate) fn unique_names(mut bodies: Vec<SceneBody>, ledger: &mut Ledger) -> Vec<SceneBody> {
     let mut seen = std::collections::HashSet::from(["world".to_owned()]);
     for body in &mut bodies {
-        let base = body.name.clone();
-        let mut number = 2;
-        while !seen.insert(body.name.clone()) {
-            body.name = format!("{base}_{number}");
-            number += 1;
+        let name = free_name(&body.name, |name| seen.contains(name));
+        if body.name != name {
+            ledger.repaired(format!("a second \"{}\" is called \"{name}\"", body.name));
         }
-        if body.name != base {
-            ledger.repaired(format!("a second \"{base}\" is called \"{}\"", body.name));
-        }
+        seen.insert(name.clone());
+        body.name = name;
     }
     bodies
 }

@@ -16,7 +16,7 @@ use roxmltree::Node;
 
 use super::layout::fixed;
 use super::xml::{child, children, error, numbers, parse};
-use super::{ImportedScene, Ledger, Origin, read_text, stem};
+use super::{ImportedScene, Ledger, Origin, free_name, read_text, stem};
 
 /// Deepest nesting of included models.
 const DEEPEST_INCLUDE: usize = 16;
@@ -128,7 +128,7 @@ impl Reader<'_> {
             let model_from_link = self.relative(path, link, &placed)?;
             let full_name =
                 if link_name == name { name.to_owned() } else { format!("{name}_{link_name}") };
-            let full_name = self.free_name(&full_name);
+            let full_name = self.free_link_name(&full_name);
             let parts = Parts { path, link: &full_name };
             let visuals = self.parts(&parts, link, "visual")?;
             let collisions = self.parts(&parts, link, "collision")?;
@@ -241,7 +241,7 @@ impl Reader<'_> {
         (child_link, model_from_child): (usize, Pose),
         child_from_joint: Pose,
     ) -> Result<Option<usize>, ModelError> {
-        let anchor_name = self.free_name(&format!("{name}_anchor"));
+        let anchor_name = self.free_link_name(&format!("{name}_anchor"));
         // The child's index must stay where the caller expects it, so the anchor goes last.
         self.links.push(Link { name: anchor_name, ..Link::default() });
         let anchor = self.links.len() - 1;
@@ -381,15 +381,8 @@ impl Reader<'_> {
         candidates.find(|path| path.exists())
     }
 
-    fn free_name(&self, wanted: &str) -> String {
-        let taken = |name: &str| self.links.iter().any(|l| l.name == name);
-        let mut name = wanted.to_owned();
-        let mut number = 2;
-        while taken(&name) {
-            name = format!("{wanted}_{number}");
-            number += 1;
-        }
-        name
+    fn free_link_name(&self, wanted: &str) -> String {
+        free_name(wanted, |name| self.links.iter().any(|l| l.name == name))
     }
 
     /// Drake's `add_model` and `add_weld`: models are welded to the world at `X_PC`.

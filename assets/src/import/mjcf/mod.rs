@@ -13,7 +13,7 @@ use roxmltree::Node;
 
 use super::layout::fixed;
 use super::xml::{children, error, numbers, parse};
-use super::{ImportedObject, ImportedScene, Ledger, Origin, classes, read_text, stem};
+use super::{ImportedObject, ImportedScene, Ledger, Origin, classes, free_name, read_text, stem};
 
 mod asset;
 mod defaults;
@@ -406,13 +406,6 @@ impl Reader<'_> {
     }
 
     fn free_link_name(&self, wanted: &str) -> String {
-        let taken = |name: &str| self.links.iter().any(|l| l.name == name);
-        let mut name = wanted.to_owned();
-        let mut number = 2;
-        while taken(&name) {
-            name = format!("{wanted}_{number}");
-            number += 1;
-        }
-        name
+        free_name(wanted, |name| self.links.iter().any(|l| l.name == name))
     }
 }
