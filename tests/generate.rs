@@ -79,6 +79,85 @@ fn a_production_is_resumed_and_its_budget_is_kept() {
     akrobat().arg("produce").arg(&job).assert().code(2).stderr(known);
 }
 
+fn json(arguments: &[&str]) -> (i32, serde_json::Value) {
+    let output = akrobat().arg("--json").args(arguments).output().unwrap();
+    let report = serde_json::from_slice(&output.stdout).unwrap_or_default();
+    (output.status.code().unwrap(), report)
+}
+
+#[test]
+fn variants_of_an_imported_scene_are_produced_beside_generated_ones_and_looked_through() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    generate(&folder.path().join("scenes"), "2");
+    let kitchen = path("scenes/kitchen_0001/scene.urdf");
+    json(&["import", "urdf", &kitchen, "--as", "scene", "-o", &path("imported")]);
+    let vary = |output: &str, seed: &str| {
+        let (imported, output) = (path("imported"), path(output));
+        json(&["generate", "variants", &imported, "--count", "2", "--seed", seed, "-o", &output])
+    };
+    let (code, set) = vary("variants", "3");
+    assert_eq!(code, 0, "{set:#}");
+    assert!(set["scenes"][0]["tasks"].as_array().unwrap().len() > 2, "{set:#}");
+    vary("same", "3");
+    vary("other", "4");
+    let [one, same, other] = ["variants", "same", "other"].map(|f| files(&folder.path().join(f)));
+    assert!(one == same, "one seed, two sets of files");
+    assert!(one != other, "two seeds, one set of files");
+
+    let text = "name = \"both\"\nscenes = [\"scenes\", \"variants\"]\noutput = \"out\"\nclasses = [\"drawer_unit\"]\nobjects_per_class = 1\nlimit = 1\n";
+    let job = path("job.toml");
+    std::fs::write(&job, text).unwrap();
+    let (_, report) = json(&["produce", &job, "--scenes", "1"]);
+    assert_eq!(report["planned"], 2, "one of each folder: {report:#}");
+    assert_eq!(report["by_confinement"]["imported"]["tasks"], 1, "{report:#}");
+    let (_, report) = json(&["produce", &job, "--scenes", "1", "--objects-per-class", "2"]);
+    assert_eq!(report["resumed"], 2, "{report:#}");
+    assert!(report["planned"].as_u64().unwrap() >= 1, "more of the same: {report:#}");
+
+    let (code, found) = json(&["inspect", &path("out"), "--report", &path("page"), "--show", "1"]);
+    assert_eq!(code, 0, "{found:#}");
+    assert_eq!(found["total"], report["total"], "{found:#}");
+    assert_eq!(found["trajectories"], report["total"]["accepted"]);
+    let base = &found["bases"]["pillar"];
+    assert_eq!(base["trajectories"], found["trajectories"]);
+    let page = std::fs::read_to_string(folder.path().join("page/production.html")).unwrap();
+    assert!(page.contains("Where bases stood") && page.contains("data:image/jpeg"));
+
+    std::fs::write(&job, text.replace("\"variants\"", "\"scenes\"")).unwrap();
+    let twice = akrobat().arg("produce").arg(&job).assert().code(2);
+    twice.stderr(contains("two scenes are called \"kitchen_0001\""));
+}
+
+#[test]
+fn tasks_that_could_not_be_loaded_are_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    generate(&folder.path().join("scenes"), "2");
+    let job = folder.path().join("job.toml");
+    let text = "name = \"small\"\nscenes = \"scenes\"\noutput = \"out\"\nclasses = [\"refrigerator\"]\nlimit = 1\n";
+    std::fs::write(&job, text).unwrap();
+    let job = job.display().to_string();
+    let robot = folder.path().join("scenes/robots/pillar.urdf");
+    let moved = robot.with_extension("moved");
+    std::fs::rename(&robot, &moved).unwrap();
+    akrobat().args(["produce", &job]).assert().code(2).stderr(contains("pillar.urdf"));
+    assert!(
+        !folder.path().join("out").exists(),
+        "nothing is recorded of a robot that is not there"
+    );
+    std::fs::rename(&moved, &robot).unwrap();
+
+    let object = folder.path().join("scenes/kitchen_0002/objects/refrigerator_1");
+    let moved = object.with_extension("moved");
+    std::fs::rename(&object, &moved).unwrap();
+    let (code, report) = json(&["produce", &job]);
+    assert_eq!((code, &report["reasons"]["task could not be planned"]), (0, &serde_json::json!(1)));
+    std::fs::rename(&moved, &object).unwrap();
+    let (_, report) = json(&["produce", &job]);
+    assert_eq!([&report["planned"], &report["resumed"]], [&serde_json::json!(1); 2]);
+    assert_eq!(report["total"]["solved"], 2, "{report:#}");
+}
+
 #[test]
 fn wrong_scenes_are_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -8,7 +8,9 @@ use clap::{Args, Subcommand, ValueEnum};
 
 use super::Report;
 use crate::Error;
-use crate::pipeline::{self, Context, GenerateObjectRequest, GenerateScenesRequest, SceneSet};
+use crate::pipeline::{
+    self, Context, GenerateObjectRequest, GenerateScenesRequest, GenerateVariantsRequest, SceneSet,
+};
 
 /// Make objects to manipulate and scenes to do it in, without downloads: the same seed gives the same files.
 #[derive(Debug, Args)]
@@ -21,6 +23,7 @@ pub struct GenerateArgs {
 enum What {
     Object(ObjectArgs),
     Scene(SceneArgs),
+    Variants(VariantsArgs),
 }
 
 /// Make an appliance, a piece of furniture or a thing to pick up: URDF, meshes with materials, grasps, a
@@ -112,6 +115,45 @@ struct SceneArgs {
     threads: Option<usize>,
 }
 
+/// Make variants of imported scenes: the articulated objects of each are exchanged for generated ones of their
+/// classes, in the same places but with other dimensions, handles and finishes, and drawer units, cabinets,
+/// appliances and a microwave are put on free stretches of its floor. A task file for each object and robot.
+///
+/// The folder is laid out like that of `akrobat generate scene`, so that `akrobat produce` takes both.
+///
+/// Example:
+///   akrobat import infinigen scene.glb --state solve_state.json --objects objects/ -o flat
+///   akrobat import sdf furnished_living_room.dmd.yaml -o living_room
+///   akrobat generate variants flat living_room --count 30 -o variants --robot configs/robots/tiago.toml
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+struct VariantsArgs {
+    /// Folders that `akrobat import` has written; they are used in turn.
+    #[arg(required = true, value_name = "SCENE")]
+    scenes: Vec<PathBuf>,
+    /// Folder to write: empty or new.
+    #[arg(long, short)]
+    output: PathBuf,
+    /// Number of variants in all.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    count: usize,
+    /// Pieces of furniture on free floor, at most.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    furniture: usize,
+    /// Seed of the first variant; the others follow.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Robot file that tasks are written for, instead of the built-in robot; may be repeated.
+    #[arg(long, value_name = "FILE")]
+    robot: Vec<PathBuf>,
+    /// Draw the variants: contact_sheet.png.
+    #[arg(long)]
+    pictures: bool,
+    /// Number of threads; one for each core where absent.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+}
+
 /// Confinement at both ends of a range.
 fn confinement(density: &str) -> Result<[f64; 2], Error> {
     let one = |word: &str| match word {
@@ -139,11 +181,28 @@ fn scene(args: &SceneArgs, context: &Context<'_>) -> Result<Report, Error> {
         threads: args.threads,
         output: args.output.clone(),
     };
-    let set = pipeline::generate_scenes(&request, context)?;
-    let mut json = serde_json::to_value(&set).unwrap_or_default();
+    Ok(set_report(&pipeline::generate_scenes(&request, context)?))
+}
+
+fn variants(args: &VariantsArgs, context: &Context<'_>) -> Result<Report, Error> {
+    let request = GenerateVariantsRequest {
+        scenes: args.scenes.clone(),
+        count: args.count,
+        furniture: args.furniture,
+        seed: args.seed,
+        robots: args.robot.clone(),
+        pictures: args.pictures,
+        threads: args.threads,
+        output: args.output.clone(),
+    };
+    Ok(set_report(&pipeline::generate_variants(&request, context)?))
+}
+
+fn set_report(set: &SceneSet) -> Report {
+    let mut json = serde_json::to_value(set).unwrap_or_default();
     json["output"] = serde_json::json!(set.output);
     json["seconds"] = serde_json::json!(set.seconds);
-    Ok(Report::done(scene_text(&set), json))
+    Report::done(scene_text(set), json)
 }
 
 fn scene_text(set: &SceneSet) -> String {
@@ -227,6 +286,7 @@ pub fn run(args: &GenerateArgs, context: &Context<'_>) -> Result<Report, Error> 
     match &args.what {
         What::Object(args) => object(args),
         What::Scene(args) => scene(args, context),
+        What::Variants(args) => variants(args, context),
     }
 }
 

@@ -1,6 +1,7 @@
 //! `akrobat inspect`: what is in a file.
 
 mod dataset;
+mod production;
 mod rig;
 
 use std::path::{Path, PathBuf};
@@ -12,7 +13,9 @@ use serde_json::{Value, json};
 
 use super::Report;
 use crate::Error;
-use crate::pipeline::{self, BackendChoice, Context, ReportRequest, SurveyRequest};
+use crate::pipeline::{
+    self, BackendChoice, Context, ProductionRequest, ReportRequest, SurveyRequest,
+};
 use crate::report::ReportOptions;
 
 /// Tell what is in a trajectory file or a dataset, and show it.
@@ -23,12 +26,13 @@ use crate::report::ReportOptions;
 ///   akrobat inspect drawer.h5 --report look/   a page with pictures and plots: look/report.html
 ///   akrobat inspect dataset                    arrays, sizes, compression, ranges of the joints
 ///   akrobat inspect dataset --report look/     the same as a page: look/dataset.html
+///   akrobat inspect trajectories --report look/    a production: yields, heat maps of bases: look/production.html
 ///   akrobat inspect --rig my_rig.toml          the cameras of a rig
 ///   akrobat inspect --rig ring drawer.h5       where they are and what each sees of a trajectory
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct InspectArgs {
-    /// Trajectory file, as `akrobat plan` writes it, or dataset folder.
+    /// Trajectory file, as `akrobat plan` writes it, folder of such files, as `akrobat produce` does, or dataset folder.
     #[arg(required_unless_present = "rig")]
     file: Option<PathBuf>,
     /// Folder where a page is written, with animated pictures and models of some trajectories.
@@ -56,10 +60,18 @@ pub struct InspectArgs {
 /// Runs the verb.
 pub fn run(args: &InspectArgs, context: &Context<'_>) -> Result<Report, Error> {
     if let Some(folder) = args.file.as_deref().filter(|file| file.is_dir()) {
-        if args.rig.is_some() {
+        if args.rig.is_some() && !pipeline::is_production(folder) {
             let folder = folder.display();
             let message = format!("{folder}: --rig needs a trajectory file, got a dataset");
             return Err(Error::Usage(message));
+        }
+        if pipeline::is_production(folder) {
+            let (text, json) = production::inspect(
+                &production_request(args, folder),
+                args.report.as_deref(),
+                context,
+            )?;
+            return Ok(Report::done(text, json));
         }
         let (text, json) = dataset::inspect(folder, args.report.as_deref())?;
         return Ok(Report::done(text, json));
@@ -83,6 +95,16 @@ pub fn run(args: &InspectArgs, context: &Context<'_>) -> Result<Report, Error> {
         json["report"] = json!(files);
     }
     Ok(Report::done(text, json))
+}
+
+fn production_request(args: &InspectArgs, folder: &Path) -> ProductionRequest {
+    ProductionRequest {
+        folder: folder.to_path_buf(),
+        pictures: if args.report.is_some() { args.show } else { 0 },
+        rig: args.rig.clone(),
+        backend: args.backend,
+        assets: args.assets.clone(),
+    }
 }
 
 fn survey_request(args: &InspectArgs, rig: &str) -> SurveyRequest {

@@ -12,7 +12,7 @@ use crate::{Error, ExitCode};
 /// Plan trajectories for every object of many generated scenes, by every robot, and tell the yield.
 ///
 /// One trajectory file for each scene, object and robot. Run again, a job goes on where it was stopped: tasks
-/// that were planned are not planned again. Exit code 3 where the time budget left some.
+/// that were planned are not planned again; those that could not be loaded are. Exit code 3 where the time budget left some.
 ///
 /// Examples:
 ///   akrobat generate scene --count 20 --density open..confined -o scenes
@@ -22,9 +22,10 @@ use crate::{Error, ExitCode};
 ///
 /// A job file:
 ///   name = "kitchens"
-///   scenes = "scenes"
+///   scenes = ["scenes", "variants"]
 ///   output = "trajectories"
 ///   classes = ["microwave", "drawer_unit", "refrigerator"]
+///   objects_per_class = 1
 ///   limit = 10
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
@@ -34,9 +35,12 @@ pub struct ProduceArgs {
     /// Folder of the trajectory files, instead of the job's.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Number of scenes, spread over the set, instead of the job's.
+    /// Number of scenes of each folder, spread over it, instead of the job's.
     #[arg(long, value_name = "N")]
     scenes: Option<usize>,
+    /// Objects of each class, scene and robot, instead of the job's.
+    #[arg(long, value_name = "N")]
+    objects_per_class: Option<usize>,
     /// Begin no task after this many seconds.
     #[arg(long, value_name = "S")]
     time_budget: Option<f64>,
@@ -57,6 +61,7 @@ pub fn run(args: &ProduceArgs, context: &Context<'_>) -> Result<Report, Error> {
         job: args.job.clone(),
         output: args.output.clone(),
         scene_count: args.scenes,
+        objects_per_class: args.objects_per_class,
         time_budget_s: args.time_budget,
         assets: args.assets.clone(),
         threads: args.threads,

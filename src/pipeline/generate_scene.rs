@@ -57,12 +57,14 @@ pub struct SceneEntry {
     pub name: String,
     /// Seed.
     pub seed: u64,
-    /// 0 for open .. 1 for confined.
-    pub confinement: f64,
-    /// How the units stand.
+    /// 0 for open .. 1 for confined; none of variants of imported scenes.
+    #[serde(default)]
+    pub confinement: Option<f64>,
+    /// How the units stand, or the imported scene that this is a variant of.
     pub layout: String,
-    /// Width of the aisle, metres.
-    pub aisle_m: f64,
+    /// Width of the aisle, metres; none of variants of imported scenes.
+    #[serde(default)]
+    pub aisle_m: Option<f64>,
     /// Share of the floor on which a disc of 0.4 m radius can stand.
     pub free_floor: f64,
     /// Number of bodies.
@@ -149,8 +151,17 @@ fn write_set(
     let (scenes, pictures): (Vec<SceneEntry>, Vec<_>) = made.into_iter().unzip();
     check_distinct(&scenes)?;
     let pictures: Vec<image::RgbImage> = pictures.into_iter().flatten().collect();
+    finish_set(folder, scenes, &pictures)
+}
+
+/// Writes what a folder of scenes says of itself: a contact sheet, where there are pictures, and `scenes.json`.
+pub(super) fn finish_set(
+    folder: &Path,
+    scenes: Vec<SceneEntry>,
+    pictures: &[image::RgbImage],
+) -> Result<SceneSet, Error> {
     if !pictures.is_empty() {
-        overview::write_sheet(&folder.join("contact_sheet.png"), &pictures)?;
+        overview::write_sheet(&folder.join("contact_sheet.png"), pictures)?;
     }
     let set = statistics(scenes);
     let path = folder.join(SCENES_FILE);
@@ -160,7 +171,7 @@ fn write_set(
 }
 
 /// The robots' names and files: those given by absolute path, the built-in one copied beside the scenes.
-fn task_robots(folder: &Path, given: &[PathBuf]) -> Result<Vec<TaskRobot>, Error> {
+pub(super) fn task_robots(folder: &Path, given: &[PathBuf]) -> Result<Vec<TaskRobot>, Error> {
     if given.is_empty() {
         DemoRobot::Pillar.write(&folder.join("robots"))?;
         let file = "../../robots/pillar.toml".into();
@@ -188,9 +199,9 @@ fn write_scene(
     Ok(SceneEntry {
         name: name.into(),
         seed: scene.seed,
-        confinement: rounded(scene.confinement),
+        confinement: Some(rounded(scene.confinement)),
         layout: layout.as_str().unwrap_or_default().into(),
-        aisle_m: rounded(scene.aisle_m),
+        aisle_m: Some(rounded(scene.aisle_m)),
         free_floor: rounded(scene.free_floor),
         bodies: scene.bodies.len(),
         attempts: scene.attempts,
@@ -199,11 +210,11 @@ fn write_scene(
     })
 }
 
-fn rounded(value: f64) -> f64 {
+pub(super) fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-fn check_distinct(scenes: &[SceneEntry]) -> Result<(), Error> {
+pub(super) fn check_distinct(scenes: &[SceneEntry]) -> Result<(), Error> {
     let mut seen = HashSet::new();
     match scenes.iter().find(|scene| !seen.insert(&scene.sha256)) {
         Some(scene) => Err(Error::Failed(format!("{} repeats another scene", scene.name))),
@@ -221,9 +232,11 @@ fn statistics(scenes: Vec<SceneEntry>) -> SceneSet {
             *robots.entry(task.robot.clone()).or_default() += 1;
         }
     }
-    let middle = scenes.iter().map(|s| s.confinement).sum::<f64>() / scenes.len().max(1) as f64;
+    // Imported scenes have no stated confinement: what is free orders them.
+    let order = |scene: &SceneEntry| scene.confinement.unwrap_or(-scene.free_floor);
+    let middle = scenes.iter().map(order).sum::<f64>() / scenes.len().max(1) as f64;
     let mean = |confined: bool| {
-        let half = scenes.iter().filter(|s| (s.confinement > middle) == confined);
+        let half = scenes.iter().filter(|s| (order(s) > middle) == confined);
         let shares: Vec<f64> = half.map(|s| s.free_floor).collect();
         rounded(shares.iter().sum::<f64>() / shares.len().max(1) as f64)
     };

@@ -7,6 +7,7 @@ mod evaluate;
 mod export;
 mod generate;
 mod generate_scene;
+mod generate_variants;
 mod import;
 mod import_assets;
 mod import_robot;
@@ -15,6 +16,7 @@ mod overview;
 mod plan;
 mod planned;
 mod produce;
+mod production;
 mod render;
 mod replay;
 mod report;
@@ -39,6 +41,7 @@ pub use generate::{GenerateObjectReport, GenerateObjectRequest, generate_object}
 pub use generate_scene::{
     GenerateScenesRequest, SCENES_FILE, SceneEntry, SceneSet, SceneTask, generate_scenes,
 };
+pub use generate_variants::{GenerateVariantsRequest, generate_variants};
 pub use import::{ImportReport, ImportRequest, import};
 pub use import_assets::{
     AssetKind, AssetSource, ImportAssetReport, ImportAssetRequest, import_asset, import_grasps,
@@ -49,6 +52,10 @@ pub use plan::{PlanBackend, PlanReport, PlanRequest, plan};
 pub use planned::planned_task;
 use planned::selection;
 pub use produce::{ProduceReport, ProduceRequest, ProductionFile, Yield, produce};
+pub use production::{
+    BaseCoverage, CELL_M as BASE_CELL_M, Opening, Production, ProductionRequest, Shot,
+    StartDiversity, files_below, is_production, production,
+};
 pub use render::{
     BackendChoice, DryRun, Format, RenderReport, RenderRequest, Sharing, States, dry_run, load_rig,
     render,

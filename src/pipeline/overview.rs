@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use akrobat_cameras::Intrinsics;
 use akrobat_model::mesh_io::gltf;
-use akrobat_model::{KinematicTree, Phase, Pose, TriMesh};
+use akrobat_model::{KinematicTree, Link, Part, Phase, Pose, TriMesh};
 use akrobat_renderer::scene::UnnumberedBody;
 use akrobat_renderer::{Backend, BodyGroup, FrameState, PlacedCamera, RenderScene, SoftBackend};
 use image::{RgbImage, imageops};
@@ -18,6 +18,8 @@ use crate::report::picture;
 const DRAWN: [u32; 2] = [640, 480];
 const KEPT: [u32; 2] = [320, 240];
 const FIELD_OF_VIEW_RAD: f64 = 0.75;
+/// What reaches higher is not drawn of imported rooms, metres.
+const CUT_M: f64 = 2.05;
 /// Walls that stand between the camera and the room, and what hangs in them.
 const LEFT_OUT: [&str; 3] = ["wall_3", "wall_4", "door_1"];
 
@@ -31,6 +33,48 @@ pub fn scene_picture(glb: &Path) -> Result<RgbImage, Error> {
         })
         .collect();
     draw(bodies, Vector3::new(0.75, -0.85, 1.15))
+}
+
+/// An imported scene from above; ceilings, roofs and walls are cut away.
+pub fn room_picture(tree: &KinematicTree) -> Result<RgbImage, Error> {
+    let poses = tree.link_poses(&Pose::identity(), &tree.neutral());
+    let body = |(link, pose): (&Link, Pose)| {
+        let parts = if link.visuals.is_empty() { &link.collisions } else { &link.visuals };
+        let meshes = parts.iter().flat_map(Part::triangulate).map(|mesh| cut(mesh, &pose));
+        let meshes: Vec<_> = meshes.filter(|m| !m.triangles.is_empty()).map(Arc::new).collect();
+        (link.name.clone(), pose, meshes)
+    };
+    let bodies = tree.links().iter().zip(poses).map(body);
+    draw(
+        bodies.filter(|(_, _, meshes)| !meshes.is_empty()).collect(),
+        Vector3::new(0.45, -0.6, 1.3),
+    )
+}
+
+/// A mesh without the triangles that reach above [`CUT_M`], and without what only those need.
+fn cut(mesh: TriMesh, world_from_mesh: &Pose) -> TriMesh {
+    let low = |index: u32| {
+        let position = mesh.positions[index as usize].map(f64::from);
+        (world_from_mesh * Point3::from(position)).z < CUT_M
+    };
+    let kept: Vec<[u32; 3]> =
+        mesh.triangles.iter().copied().filter(|corners| corners.iter().all(|&c| low(c))).collect();
+    let mut new_index = vec![u32::MAX; mesh.positions.len()];
+    let mut result = TriMesh { material: mesh.material.clone(), ..TriMesh::default() };
+    for corners in kept {
+        let triangle = corners.map(|corner| {
+            let old = corner as usize;
+            if new_index[old] == u32::MAX {
+                new_index[old] = result.positions.len() as u32;
+                result.positions.push(mesh.positions[old]);
+                result.normals.extend(mesh.normals.get(old));
+                result.uvs.extend(mesh.uvs.get(old));
+            }
+            new_index[old]
+        });
+        result.triangles.push(triangle);
+    }
+    result
 }
 
 /// An object from its front, its joints at a configuration.

@@ -1,11 +1,11 @@
 //! A production run: plans the tasks of many generated scenes, resumable, with statistics.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use akrobat_model::ModelError;
 use akrobat_model::events::Event;
+use akrobat_model::{ModelError, load};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,8 +23,8 @@ const BINS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 pub struct ProductionFile {
     /// Name for reports.
     pub name: String,
-    /// Folder of generated scenes.
-    pub scenes: PathBuf,
+    /// Folder of scenes as `akrobat generate scene` and `akrobat generate variants` write it, or several.
+    pub scenes: Folders,
     /// Folder of the trajectory files.
     pub output: PathBuf,
     /// Classes of objects to plan for; all where empty.
@@ -36,9 +36,31 @@ pub struct ProductionFile {
     /// Trajectories of each task, at most.
     #[serde(default = "ten")]
     pub limit: usize,
-    /// Scenes to plan in, at most; all where absent.
+    /// Scenes of each folder to plan in, at most; all where absent.
     #[serde(default)]
     pub scene_count: Option<usize>,
+    /// Objects of each class, scene and robot to plan for, at most; all where absent.
+    #[serde(default)]
+    pub objects_per_class: Option<usize>,
+}
+
+/// A folder, or a list of folders.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Folders {
+    /// One.
+    One(PathBuf),
+    /// Several, whose scenes have different names.
+    Several(Vec<PathBuf>),
+}
+
+impl Folders {
+    fn as_slice(&self) -> &[PathBuf] {
+        match self {
+            Self::One(folder) => std::slice::from_ref(folder),
+            Self::Several(folders) => folders,
+        }
+    }
 }
 
 fn ten() -> usize {
@@ -52,8 +74,10 @@ pub struct ProduceRequest {
     pub job: PathBuf,
     /// Folder of the trajectory files, instead of the job's.
     pub output: Option<PathBuf>,
-    /// Number of scenes, instead of the job's.
+    /// Number of scenes of each folder, instead of the job's.
     pub scene_count: Option<usize>,
+    /// Number of objects of each class and scene, instead of the job's.
+    pub objects_per_class: Option<usize>,
     /// No task is begun after this time, seconds.
     pub time_budget_s: Option<f64>,
     /// Folders where assets are looked up.
@@ -64,17 +88,58 @@ pub struct ProduceRequest {
 
 /// What a task gave: the file beside its trajectories.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Record {
-    scene: String,
-    confinement: f64,
-    layout: String,
-    class: String,
-    robot: String,
-    accepted: usize,
-    seconds: f64,
-    counts: BTreeMap<String, u64>,
+pub(super) struct Record {
+    pub scene: String,
+    #[serde(default)]
+    pub confinement: Option<f64>,
+    pub layout: String,
+    pub class: String,
+    pub robot: String,
+    pub accepted: usize,
+    pub seconds: f64,
+    pub counts: BTreeMap<String, u64>,
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    error: Option<String>,
+    pub error: Option<String>,
+}
+
+impl Record {
+    /// What stopped trajectories of the task, or the task, with how often.
+    pub fn reasons(&self) -> Vec<(String, u64)> {
+        let stopped = |(name, _): &(&String, &u64)| {
+            ["rejected", "failed", "refused"].iter().any(|word| name.contains(word))
+        };
+        let counts = self.counts.iter().filter(stopped);
+        let mut reasons: Vec<_> = counts.map(|(name, count)| (name.clone(), *count)).collect();
+        if self.error.is_some() {
+            reasons.push(("task could not be planned".into(), 1));
+        } else if self.accepted == 0 {
+            reasons.push(("task without a trajectory".into(), 1));
+        }
+        reasons
+    }
+
+    /// The bin of confinement that its scene falls into.
+    pub fn confinement_bin(&self) -> String {
+        let Some(confinement) = self.confinement else { return "imported".into() };
+        let bin = BINS.iter().position(|&high| confinement <= high).unwrap_or(BINS.len() - 1);
+        let low = if bin == 0 { 0.0 } else { BINS[bin - 1] };
+        format!("{low:.2} to {:.2}", BINS[bin])
+    }
+}
+
+/// A task of the job.
+#[derive(Debug, Clone, Copy)]
+struct Job<'a> {
+    /// Folder of the set that the scene is of.
+    folder: &'a Path,
+    scene: &'a SceneEntry,
+    task: &'a SceneTask,
+}
+
+impl Job<'_> {
+    fn file(&self) -> PathBuf {
+        self.folder.join(&self.task.file)
+    }
 }
 
 /// Sums over tasks.
@@ -91,7 +156,7 @@ pub struct Yield {
 }
 
 impl Yield {
-    fn add(&mut self, record: &Record) {
+    pub(super) fn add(&mut self, record: &Record) {
         self.tasks += 1;
         self.solved += usize::from(record.accepted > 0);
         self.accepted += record.accepted;
@@ -138,24 +203,25 @@ impl ProduceReport {
     }
 }
 
-/// Plans the tasks of a job that no earlier run has planned. Interrupted, it goes on where it was.
+/// Plans the tasks of a job that no earlier run has planned. Interrupted, it goes on where it was. Tasks that
+/// could not be loaded or planned at all are tried again.
 ///
 /// # Errors
-/// Where the job or its scenes are wrong, the output cannot be written, or the user asks to stop.
+/// Where the job, its scenes or a robot are wrong, the output cannot be written, or the user asks to stop.
 pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<ProduceReport, Error> {
-    let (job, set) = load(request)?;
-    let folder = folder_of(&request.job);
-    let scenes = folder.join(&job.scenes);
-    let output = request.output.clone().unwrap_or_else(|| folder.join(&job.output));
-    let tasks = tasks(&job, &set, request.scene_count.or(job.scene_count));
+    let (job, sets) = read_job(request)?;
+    let output =
+        request.output.clone().unwrap_or_else(|| folder_of(&request.job).join(&job.output));
+    let tasks = tasks(request, &job, &sets);
     if tasks.is_empty() {
         return Err(Error::Usage(format!(
             "{}: no task is left by its classes and robots; the scenes have classes {} and robots {}",
             request.job.display(),
-            names(&set.classes),
-            names(&set.robots)
+            names(&counts(&sets, |set| &set.classes)),
+            names(&counts(&sets, |set| &set.robots))
         )));
     }
+    check_robots(request, &tasks, context)?;
     let budget = request.time_budget_s.map(Duration::from_secs_f64);
     let began = Instant::now();
     let mut report = ProduceReport {
@@ -164,9 +230,9 @@ pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<Produc
         ..ProduceReport::default()
     };
     context.observer.event(&Event::StageStarted { stage: STAGE, total: Some(tasks.len() as u64) });
-    for (index, (scene, task)) in tasks.iter().enumerate() {
-        let path = record_path(&output, scene, task);
-        let record = match read_record(&path)? {
+    for (index, task) in tasks.iter().enumerate() {
+        let path = record_path(&output, task);
+        let record = match read_record(&path)?.filter(|record| record.error.is_none()) {
             Some(record) => {
                 report.resumed += 1;
                 record
@@ -177,7 +243,7 @@ pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<Produc
             }
             None => {
                 report.planned += 1;
-                let record = plan_one(request, &job, &scenes, scene, task, &path, context)?;
+                let record = plan_one(request, &job, task, &path, context)?;
                 write_record(&path, &record)?;
                 record
             }
@@ -190,60 +256,124 @@ pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<Produc
     Ok(report)
 }
 
+/// A task of each robot is loaded before anything is planned: where its files are not found, no task of it can be
+/// planned.
+fn check_robots(
+    request: &ProduceRequest,
+    tasks: &[Job<'_>],
+    context: &Context<'_>,
+) -> Result<(), Error> {
+    let search = context.asset_search(&request.assets)?;
+    let mut seen = BTreeSet::new();
+    for task in tasks {
+        if seen.insert(&task.task.robot) {
+            load::task(&task.file(), &search)?;
+        }
+    }
+    Ok(())
+}
+
 fn names(counts: &BTreeMap<String, usize>) -> String {
     counts.keys().cloned().collect::<Vec<_>>().join(", ")
 }
 
-fn load(request: &ProduceRequest) -> Result<(ProductionFile, SceneSet), Error> {
+/// A set of scenes, with the folder that it is in.
+type PlacedSet = (PathBuf, SceneSet);
+
+/// Sums of what several sets count.
+fn counts(
+    sets: &[PlacedSet],
+    of: fn(&SceneSet) -> &BTreeMap<String, usize>,
+) -> BTreeMap<String, usize> {
+    let mut sums = BTreeMap::new();
+    for (name, count) in sets.iter().flat_map(|(_, set)| of(set)) {
+        *sums.entry(name.clone()).or_default() += count;
+    }
+    sums
+}
+
+fn read_job(request: &ProduceRequest) -> Result<(ProductionFile, Vec<PlacedSet>), Error> {
     let text =
         std::fs::read_to_string(&request.job).map_err(|e| ModelError::read(&request.job, e))?;
     let job: ProductionFile = toml::from_str(&text)
         .map_err(|e| ModelError::invalid(&request.job, e.message().to_owned()))?;
-    let path = folder_of(&request.job).join(&job.scenes).join(SCENES_FILE);
-    let text = std::fs::read_to_string(&path).map_err(|e| ModelError::read(&path, e))?;
-    let set: SceneSet =
-        serde_json::from_str(&text).map_err(|e| ModelError::invalid(&path, e.to_string()))?;
-    for (what, asked, known) in
-        [("classes", &job.classes, &set.classes), ("robots", &job.robots, &set.robots)]
+    let base = folder_of(&request.job);
+    let sets = job.scenes.as_slice().iter().map(|folder| read_set(&base.join(folder)));
+    let sets = sets.collect::<Result<Vec<_>, _>>()?;
+    let mut seen = BTreeSet::new();
+    if let Some(twice) =
+        sets.iter().flat_map(|(_, set)| &set.scenes).find(|scene| !seen.insert(&scene.name))
     {
+        let message = format!("scenes: two scenes are called \"{}\"", twice.name);
+        return Err(ModelError::invalid(&request.job, message).into());
+    }
+    for (what, asked, known) in [
+        ("classes", &job.classes, counts(&sets, |set| &set.classes)),
+        ("robots", &job.robots, counts(&sets, |set| &set.robots)),
+    ] {
         if let Some(unknown) = asked.iter().find(|name| !known.contains_key(*name)) {
-            let message = format!("{what}: unknown \"{unknown}\"; valid choices: {}", names(known));
+            let known = names(&known);
+            let message = format!("{what}: unknown \"{unknown}\"; valid choices: {known}");
             return Err(ModelError::invalid(&request.job, message).into());
         }
     }
-    Ok((job, set))
+    Ok((job, sets))
+}
+
+fn read_set(folder: &Path) -> Result<PlacedSet, Error> {
+    let path = folder.join(SCENES_FILE);
+    let text = std::fs::read_to_string(&path).map_err(|e| ModelError::read(&path, e))?;
+    let set = serde_json::from_str(&text).map_err(|e| ModelError::invalid(&path, e.to_string()))?;
+    Ok((folder.to_path_buf(), set))
 }
 
 /// The tasks, one of every scene first, so that a run that is cut short has seen all scenes.
 fn tasks<'a>(
+    request: &ProduceRequest,
     job: &ProductionFile,
-    set: &'a SceneSet,
-    scene_count: Option<usize>,
-) -> Vec<(&'a SceneEntry, &'a SceneTask)> {
-    let wanted = |task: &&SceneTask| {
-        (job.classes.is_empty() || job.classes.contains(&task.class))
-            && (job.robots.is_empty() || job.robots.contains(&task.robot))
-    };
-    let count = scene_count.unwrap_or(set.scenes.len()).min(set.scenes.len());
-    // Spread over the set, whose confinement rises.
-    let chosen = (0..count).map(|k| &set.scenes[k * set.scenes.len() / count.max(1)]);
+    sets: &'a [PlacedSet],
+) -> Vec<Job<'a>> {
+    let scene_count = request.scene_count.or(job.scene_count);
+    let chosen = sets.iter().flat_map(|(folder, set)| {
+        let count = scene_count.unwrap_or(set.scenes.len()).min(set.scenes.len());
+        // Spread over the set, whose confinement rises.
+        (0..count).map(move |k| (folder, &set.scenes[k * set.scenes.len() / count.max(1)]))
+    });
+    let most = request.objects_per_class.or(job.objects_per_class);
     let mut tasks: Vec<_> = chosen
         .enumerate()
-        .flat_map(|(place, scene)| {
-            let of_scene = scene.tasks.iter().filter(wanted).enumerate();
-            of_scene.map(move |(round, task)| ((round, place), (scene, task))).collect::<Vec<_>>()
+        .flat_map(|(place, (folder, scene))| {
+            let of_scene = wanted(job, most, scene).into_iter().enumerate();
+            of_scene.map(move |(round, task)| ((round, place), Job { folder, scene, task }))
         })
         .collect();
     tasks.sort_by_key(|(order, _)| *order);
     tasks.into_iter().map(|(_, task)| task).collect()
 }
 
-fn record_path(output: &Path, scene: &SceneEntry, task: &SceneTask) -> PathBuf {
-    let stem = task.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    output.join(&scene.name).join(format!("{stem}.json"))
+/// The tasks of a scene that a job asks for, with the first `most` objects of each class for each robot.
+fn wanted<'a>(
+    job: &ProductionFile,
+    most: Option<usize>,
+    scene: &'a SceneEntry,
+) -> Vec<&'a SceneTask> {
+    let mut counts: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+    let tasks = scene.tasks.iter().filter(|task| {
+        let count = counts.entry((&task.class, &task.robot)).or_default();
+        *count += 1;
+        (job.classes.is_empty() || job.classes.contains(&task.class))
+            && (job.robots.is_empty() || job.robots.contains(&task.robot))
+            && most.is_none_or(|most| *count <= most)
+    });
+    tasks.collect()
 }
 
-fn read_record(path: &Path) -> Result<Option<Record>, Error> {
+fn record_path(output: &Path, job: &Job<'_>) -> PathBuf {
+    let stem = job.task.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    output.join(&job.scene.name).join(format!("{stem}.json"))
+}
+
+pub(super) fn read_record(path: &Path) -> Result<Option<Record>, Error> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(None) };
     let record =
         serde_json::from_str(&text).map_err(|e| ModelError::invalid(path, e.to_string()))?;
@@ -266,9 +396,7 @@ fn write_record(path: &Path, record: &Record) -> Result<(), Error> {
 fn plan_one(
     request: &ProduceRequest,
     job: &ProductionFile,
-    scenes: &Path,
-    scene: &SceneEntry,
-    task: &SceneTask,
+    task: &Job<'_>,
     record_path: &Path,
     context: &Context<'_>,
 ) -> Result<Record, Error> {
@@ -277,7 +405,7 @@ fn plan_one(
     let began = Instant::now();
     let planned = plan(
         &PlanRequest {
-            task: scenes.join(&task.file),
+            task: task.file(),
             output: Some(record_path.with_extension("h5")),
             assets: request.assets.clone(),
             limit: Some(job.limit),
@@ -292,11 +420,11 @@ fn plan_one(
         Err(error) => (0, BTreeMap::new(), Some(error.to_string())),
     };
     Ok(Record {
-        scene: scene.name.clone(),
-        confinement: scene.confinement,
-        layout: scene.layout.clone(),
-        class: task.class.clone(),
-        robot: task.robot.clone(),
+        scene: task.scene.name.clone(),
+        confinement: task.scene.confinement,
+        layout: task.scene.layout.clone(),
+        class: task.task.class.clone(),
+        robot: task.task.robot.clone(),
         accepted,
         seconds: began.elapsed().as_secs_f64(),
         counts,
@@ -306,10 +434,7 @@ fn plan_one(
 
 impl ProduceReport {
     fn add(&mut self, record: &Record) {
-        let bin =
-            BINS.iter().position(|&high| record.confinement <= high).unwrap_or(BINS.len() - 1);
-        let low = if bin == 0 { 0.0 } else { BINS[bin - 1] };
-        let confinement = format!("{low:.2} to {:.2}", BINS[bin]);
+        let confinement = record.confinement_bin();
         self.total.add(record);
         for (sums, key) in [
             (&mut self.by_confinement, &confinement),
@@ -319,16 +444,8 @@ impl ProduceReport {
         ] {
             sums.entry(key.clone()).or_default().add(record);
         }
-        let reasons = record.counts.iter().filter(|(name, _)| {
-            ["rejected", "failed", "refused"].iter().any(|word| name.contains(word))
-        });
-        for (name, count) in reasons {
-            *self.reasons.entry(name.clone()).or_default() += count;
-        }
-        if record.error.is_some() {
-            *self.reasons.entry("task could not be planned".into()).or_default() += 1;
-        } else if record.accepted == 0 {
-            *self.reasons.entry("task without a trajectory".into()).or_default() += 1;
+        for (reason, count) in record.reasons() {
+            *self.reasons.entry(reason).or_default() += count;
         }
     }
 }

@@ -15,6 +15,7 @@ pub mod glb;
 mod index;
 mod page;
 pub mod picture;
+pub mod production_page;
 mod shown;
 
 pub use index::{IndexEntry, write_index};

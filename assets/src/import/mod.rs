@@ -10,6 +10,7 @@ use serde::Serialize;
 
 pub mod classes;
 pub mod grasps;
+mod ground;
 pub mod infinigen;
 pub mod layout;
 pub mod mjcf;
@@ -19,6 +20,7 @@ pub mod procthor;
 pub mod robot;
 pub mod sdf;
 mod split;
+pub mod variant;
 mod xml;
 
 /// What an import changed and what it could not take over, in the user's words.
