@@ -117,12 +117,30 @@ fn variants_of_an_imported_scene_are_produced_beside_generated_ones_and_looked_t
 
     let (code, found) = json(&["inspect", &path("out"), "--report", &path("page"), "--show", "1"]);
     assert_eq!(code, 0, "{found:#}");
-    assert_eq!(found["total"], report["total"], "{found:#}");
+    for sum in ["tasks", "solved", "accepted"] {
+        assert_eq!(found["total"][sum], report["total"][sum], "{found:#}");
+    }
     assert_eq!(found["trajectories"], report["total"]["accepted"]);
     let base = &found["bases"]["pillar"];
     assert_eq!(base["trajectories"], found["trajectories"]);
     let page = std::fs::read_to_string(folder.path().join("page/production.html")).unwrap();
     assert!(page.contains("Where bases stood") && page.contains("data:image/jpeg"));
+
+    let looks = path("looks.toml");
+    let text_of_looks = "name = \"looks\"\ntrajectories = [\"out\"]\noutput = \"looks\"\n";
+    std::fs::write(&looks, text_of_looks).unwrap();
+    let drawn = |more: &[&str]| {
+        let (code, report) = json(&[&["run", &looks, "--dry-run"], more].concat());
+        assert_eq!(code, 0, "{report:#}");
+        let outputs = report["outputs"].as_array().unwrap().clone();
+        let episodes: u64 = outputs.iter().map(|o| o["episodes"].as_u64().unwrap()).sum();
+        (episodes, outputs.iter().map(|o| o["trajectories"].to_string()).collect::<Vec<_>>())
+    };
+    let all = drawn(&[]);
+    assert_eq!(serde_json::json!(all.0), found["trajectories"]);
+    let (episodes, files) = drawn(&["--sample", "2"]);
+    assert_eq!((episodes, files.len()), (2, 2), "one of each of two files");
+    assert_eq!(files, drawn(&["--sample", "2"]).1);
 
     std::fs::write(&job, text.replace("\"variants\"", "\"scenes\"")).unwrap();
     let twice = akrobat().arg("produce").arg(&job).assert().code(2);

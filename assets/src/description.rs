@@ -1,6 +1,6 @@
 //! Articulated things as solids, boxes and joints, and how they are written.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -12,6 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::error::{AssetError, make_folder, write_file};
 use crate::finish::Finish;
+use crate::import::free_name;
 use crate::solid::Solid;
 
 /// Solids of one finish; written as one OBJ file.
@@ -173,10 +174,18 @@ impl Description {
     /// # Errors
     /// Where the joints do not connect the links to one tree.
     pub fn tree(&self) -> Result<KinematicTree, AssetError> {
+        // Simulators want names of shapes that differ in the whole model.
+        let mut names = HashSet::new();
+        let mut named = |shape: &CollisionBox| {
+            let part = box_part(shape);
+            let name = free_name(&part.name, |name| names.contains(name));
+            names.insert(name.clone());
+            Part { name, ..part }
+        };
         let links = self.links.iter().map(|link| Link {
             name: link.name.clone(),
             visuals: link.visuals.iter().map(|visual| mesh_part(link, visual)).collect(),
-            collisions: link.collisions.iter().map(box_part).collect(),
+            collisions: link.collisions.iter().map(&mut named).collect(),
             inertial: link.inertial(),
         });
         let joints = self.joints.iter().map(|joint| self.joint(joint)).collect::<Result<_, _>>()?;

@@ -89,7 +89,14 @@ impl ObjectClass {
 
     /// True where the side of the hinges can be chosen.
     pub fn has_hinge_side(self) -> bool {
-        matches!(self, Self::Refrigerator | Self::WallCabinet | Self::BaseCabinet | Self::Door)
+        matches!(
+            self,
+            Self::Microwave
+                | Self::Refrigerator
+                | Self::WallCabinet
+                | Self::BaseCabinet
+                | Self::Door
+        )
     }
 
     /// Where typical sizes come from.
@@ -247,6 +254,11 @@ fn check_applicable(class: ObjectClass, request: &ObjectRequest) -> Result<(), A
             request.handle == Some(HandleKind::Lever) && class != ObjectClass::Door,
             "lever; valid handles: bar, arch, knob, recess",
         ),
+        (
+            // A lid is thinner than a recess is deep.
+            request.handle == Some(HandleKind::Recess) && class == ObjectClass::TrashCan,
+            "recess; valid handles: bar, arch, knob",
+        ),
     ];
     match refusals.into_iter().find(|(refused, _)| *refused) {
         Some((_, parameter)) => Err(AssetError::NotApplicable { class: class.name(), parameter }),
@@ -337,6 +349,7 @@ fn articulated(
             height_m: draw.between(height_m, 0.26, 0.31),
             controls_m: draw.between(None, 0.09, 0.13),
             handle: draw.handle(0.16, &APPLIANCE),
+            hinge_side: draw.hinge_side(),
         }
         .build(name, palette),
         ObjectClass::Oven => {

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use akrobat_assets::appliances::HingeSide;
 use akrobat_assets::description::{CollisionBox, Description};
 use akrobat_assets::grasp::OPENING_M;
 use akrobat_assets::object::{
@@ -184,11 +185,45 @@ fn every_handle_style_fits_every_appliance() {
             if handle == Lever && class != ObjectClass::Door {
                 let refusal = object.unwrap_err().to_string();
                 assert!(refusal.contains("valid handles: bar, arch, knob, recess"), "{refusal}");
-            } else if handle != Recess || class != ObjectClass::TrashCan {
+            } else if handle == Recess && class == ObjectClass::TrashCan {
+                let refusal = object.unwrap_err().to_string();
+                assert!(refusal.contains("valid handles: bar, arch, knob"), "{refusal}");
+            } else {
                 let grasps = object.unwrap().grasps.len();
                 assert!(grasps >= 4, "{} with {handle:?}: {grasps}", class.name());
             }
         }
+    }
+}
+
+#[test]
+fn names_of_collision_shapes_differ_in_the_whole_model() {
+    for object in ObjectClass::ALL.map(|class| drawn(class, 2)) {
+        let tree = object.description.tree().unwrap();
+        let names: Vec<&str> = tree
+            .links()
+            .iter()
+            .flat_map(|l| &l.collisions)
+            .map(|part| part.name.as_str())
+            .collect();
+        let different: std::collections::HashSet<_> = names.iter().collect();
+        assert_eq!(different.len(), names.len(), "{}: {names:?}", name(&object));
+    }
+}
+
+#[test]
+fn doors_are_hinged_on_either_side() {
+    for class in ObjectClass::ALL.into_iter().filter(|class| class.has_hinge_side()) {
+        let side = |hinge_side| {
+            let request = ObjectRequest { hinge_side: Some(hinge_side), ..Default::default() };
+            let object = object::generate(class, "door", &request, &palette_of(1)).unwrap();
+            let joint = object.articulation.unwrap().joint;
+            let hinge = object.description.joints.into_iter().find(|j| j.name == joint).unwrap();
+            (hinge.origin[1], hinge.motion.unwrap().axis.z)
+        };
+        let (left, right) = (side(HingeSide::Left), side(HingeSide::Right));
+        assert!(left.0 < 0.0 && right.0 > 0.0, "{}: {left:?} {right:?}", class.name());
+        assert_eq!(left.1, -right.1, "{}", class.name());
     }
 }
 

@@ -19,6 +19,7 @@ use crate::{Error, ExitCode};
 ///   akrobat run relight.toml --dry-run          frames, bytes and time to expect
 ///   akrobat run relight.toml                    all of it
 ///   akrobat run relight.toml --episodes 0,5-9   some of the trajectories
+///   akrobat run looks.toml --sample 200         some of a production: trajectories = ["trajectories"]
 ///   akrobat schema job                          what a job file may say
 ///
 /// A job file:
@@ -51,6 +52,9 @@ pub struct RunArgs {
     /// Only trajectories that the judge accepted (true), or only the others (false).
     #[arg(long, value_name = "BOOL")]
     success: Option<bool>,
+    /// Only this many of them, drawn from all files together; instead of the job's.
+    #[arg(long, value_name = "N")]
+    sample: Option<usize>,
     /// Number of threads; one for each core where absent.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -71,6 +75,7 @@ pub fn run(args: &RunArgs, context: &Context<'_>) -> Result<Report, Error> {
             scenes: args.scene.clone(),
             success: args.success,
         },
+        sample: args.sample,
         dry_run: args.dry_run,
         threads: args.threads,
     };
@@ -94,7 +99,12 @@ fn text(report: &RunReport) -> String {
             sum(|o| o.expected_seconds.unwrap_or(0.0))
         )
     } else {
-        format!("{}: {datasets} datasets in {:.1} s", report.name, report.seconds)
+        let episodes = sum(|o| o.report.as_ref().map_or(0.0, |r| r.episodes as f64));
+        let per_hour = episodes * 3600.0 / report.seconds.max(1e-9);
+        format!(
+            "{}: {datasets} datasets in {:.1} s; {episodes} episodes rendered, {per_hour:.0} an hour",
+            report.name, report.seconds
+        )
     });
     lines.join("\n")
 }

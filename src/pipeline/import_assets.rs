@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use akrobat_assets::import::infinigen::{self, Catalog};
 use akrobat_assets::import::partnet::{self, Size};
 use akrobat_assets::import::{
-    ImportedObject, ImportedScene, Ledger, Origin, classes, grasps, layout, mjcf, procthor, sdf,
-    static_scene,
+    ImportedObject, ImportedScene, Ledger, Origin, classes, floor, grasps, layout, mjcf, procthor,
+    sdf, static_scene,
 };
 use akrobat_model::load::AssetSearch;
 use akrobat_model::urdf;
@@ -97,7 +97,10 @@ pub fn import_asset(
     context: &Context<'_>,
 ) -> Result<ImportAssetReport, Error> {
     let search = context.asset_search(&request.assets)?;
-    let imported = read(&request.input, &request.source, &search)?;
+    let mut imported = read(&request.input, &request.source, &search)?;
+    if let Imported::Scene(scene) = &mut imported {
+        floor::split_floor(scene);
+    }
     let (manifest, file, ledger) = match imported {
         Imported::Object(object) => {
             let manifest = layout::write_object(&request.output, &object)?;

@@ -21,6 +21,7 @@ mod render;
 mod replay;
 mod report;
 mod run;
+mod sample;
 mod share;
 mod simulated;
 mod survey;

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use akrobat_assets::import::floor;
 use akrobat_cameras::Intrinsics;
 use akrobat_model::mesh_io::gltf;
 use akrobat_model::{KinematicTree, Link, Part, Phase, Pose, TriMesh};
@@ -59,22 +60,7 @@ fn cut(mesh: TriMesh, world_from_mesh: &Pose) -> TriMesh {
     };
     let kept: Vec<[u32; 3]> =
         mesh.triangles.iter().copied().filter(|corners| corners.iter().all(|&c| low(c))).collect();
-    let mut new_index = vec![u32::MAX; mesh.positions.len()];
-    let mut result = TriMesh { material: mesh.material.clone(), ..TriMesh::default() };
-    for corners in kept {
-        let triangle = corners.map(|corner| {
-            let old = corner as usize;
-            if new_index[old] == u32::MAX {
-                new_index[old] = result.positions.len() as u32;
-                result.positions.push(mesh.positions[old]);
-                result.normals.extend(mesh.normals.get(old));
-                result.uvs.extend(mesh.uvs.get(old));
-            }
-            new_index[old]
-        });
-        result.triangles.push(triangle);
-    }
-    result
+    floor::with_triangles(&mesh, &kept)
 }
 
 /// An object from its front, its joints at a configuration.

@@ -17,10 +17,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::episodes::EpisodeFilter;
+use super::production::files_below;
 use super::render::{
     BackendChoice, DEFAULT_LIGHTING, Format, Job, Look, RenderReport, RenderRequest, Source,
     Variant, is_file, open_backend,
 };
+use super::sample::sample;
 use super::{Context, folder_of, on_threads};
 use crate::Error;
 
@@ -30,7 +32,7 @@ use crate::Error;
 pub struct JobFile {
     /// Name for reports.
     pub name: String,
-    /// Trajectory files.
+    /// Trajectory files, and folders of them such as `akrobat produce` writes.
     pub trajectories: Vec<PathBuf>,
     /// Folder of the datasets.
     pub output: PathBuf,
@@ -40,6 +42,12 @@ pub struct JobFile {
     /// Which trajectories of the files are rendered.
     #[serde(default)]
     pub filter: EpisodeFilter,
+    /// Only this many of the trajectories that pass the filter, drawn from all files together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sample: Option<usize>,
+    /// Seed of the sample: the same one draws the same trajectories.
+    #[serde(default)]
+    pub sample_seed: u64,
     /// How they are rendered and stored.
     #[serde(default)]
     pub render: RenderSettings,
@@ -106,6 +114,8 @@ pub struct RunRequest {
     pub assets: Vec<PathBuf>,
     /// Narrows down the job's own filter where something is given.
     pub filter: EpisodeFilter,
+    /// Size of the sample, instead of the job's.
+    pub sample: Option<usize>,
     /// Only tell what would be done.
     pub dry_run: bool,
     /// Number of threads; one for each core where absent. The result does not depend on it.
@@ -179,13 +189,23 @@ pub fn run(request: &RunRequest, context: &Context<'_>) -> Result<RunReport, Err
     let combinations = job.combinations(request)?;
     let files = job.sources(&request.job)?;
     let filter = job.filter.narrowed(&request.filter);
+    let drawn = match request.sample.or(job.sample) {
+        Some(count) => Some(sample(files.values(), &filter, count, job.sample_seed)?),
+        None => None,
+    };
     let backend = open_backend(job.render.backend, context)?;
     let mut backend = job.render.supersampling.over(backend);
     let mut outputs = Vec::new();
     on_threads(request.threads, || {
         for (name, file) in &files {
+            if drawn.as_ref().is_some_and(|drawn| !drawn.contains_key(file)) {
+                continue;
+            }
             let set = trajectory_file::read(file)?;
-            let selected = filter.select(file, &set)?;
+            let selected = match &drawn {
+                Some(drawn) => drawn[file].clone(),
+                None => filter.select(file, &set)?,
+            };
             if selected.is_empty() {
                 continue;
             }
@@ -244,16 +264,26 @@ impl JobFile {
     /// The trajectory files, with names for their folders.
     fn sources(&self, job: &Path) -> Result<BTreeMap<String, PathBuf>, Error> {
         let mut sources = BTreeMap::new();
-        for file in &self.trajectories {
-            let path = folder_of(job).join(file);
-            if !path.is_file() {
-                let (job, path) = (job.display(), path.display());
-                return Err(Error::Usage(format!("{job}: no trajectory file {path}")));
+        let mut add = |name: String, path: PathBuf| {
+            if sources.insert(name.clone(), path).is_none() {
+                return Ok(());
             }
-            let name = stem(&file.to_string_lossy());
-            if sources.insert(name.clone(), path).is_some() {
-                let job = job.display();
-                return Err(Error::Usage(format!("{job}: two trajectory files are called {name}")));
+            let job = job.display();
+            Err(Error::Usage(format!("{job}: two trajectory files are called {name}")))
+        };
+        for given in &self.trajectories {
+            let path = folder_of(job).join(given);
+            if path.is_dir() {
+                for file in files_below(&path)? {
+                    let below = file.strip_prefix(&path).unwrap_or(&file).with_extension("");
+                    add(below.to_string_lossy().into_owned(), file)?;
+                }
+            } else if path.is_file() {
+                add(stem(&given.to_string_lossy()), path)?;
+            } else {
+                let (job, path) = (job.display(), path.display());
+                let message = format!("{job}: no trajectory file or folder of them {path}");
+                return Err(Error::Usage(message));
             }
         }
         Ok(sources)

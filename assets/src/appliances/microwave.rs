@@ -11,7 +11,7 @@ use crate::solid::Solid;
 use super::Appliance;
 use super::parts::{DOOR_GOALS, HingeSide, REVEAL_M, SideDoor, check, mounted_handle};
 
-/// A microwave oven: housing with a cavity and turntable, door on the left, controls on the right. The
+/// A microwave oven: housing with a cavity and turntable, controls beside the door. The
 /// default is a common 23 litre size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Microwave {
@@ -23,6 +23,8 @@ pub struct Microwave {
     pub height_m: f64,
     /// Width of the control panel, metres.
     pub controls_m: f64,
+    /// Side of the hinges; the controls are on the other.
+    pub hinge_side: HingeSide,
     /// Handle, upright at the door's free edge.
     pub handle: HandleStyle,
 }
@@ -34,6 +36,7 @@ impl Default for Microwave {
             depth_m: 0.38,
             height_m: 0.285,
             controls_m: 0.11,
+            hinge_side: HingeSide::Left,
             handle: HandleStyle::BAR,
         }
     }
@@ -56,9 +59,9 @@ impl Microwave {
         let door_width = self.width_m - self.controls_m;
         let door = SideDoor {
             name: "door",
-            side: HingeSide::Left,
+            side: self.hinge_side,
             width: door_width,
-            middle_y: -self.controls_m / 2.0,
+            middle_y: self.hinge_side.sign() * self.controls_m / 2.0,
             z: [Self::FOOT_M, self.height_m],
             carcass_depth: self.depth_m - REVEAL_M - Self::DOOR_M,
             thickness: Self::DOOR_M,
@@ -116,16 +119,26 @@ impl Microwave {
             ("controls", [0.0, cavity_right, low], [self.depth_m, half, high]),
         ];
         for (name, low, high) in boxes {
+            let [low, high] = self.mirrored(low, high);
             body.add_box(name, &palette.appliance, low, high);
         }
-        let panel = Solid::cuboid(
+        let [panel_low, panel_high] = self.mirrored(
             [self.depth_m - 0.002, cavity_right + 0.012, low + 0.02],
             [self.depth_m + 0.0005, half - 0.012, high - 0.02],
         );
+        let panel = Solid::cuboid(panel_low, panel_high);
         body.add_visual("panel", &palette.glass, vec![panel]);
         self.add_feet(&mut body, palette);
         self.add_turntable(&mut body, palette);
         body
+    }
+
+    /// Corners of a box of an oven with its hinges on the left, on this one.
+    fn mirrored(&self, low: [f64; 3], high: [f64; 3]) -> [[f64; 3]; 2] {
+        match self.hinge_side {
+            HingeSide::Left => [low, high],
+            HingeSide::Right => [[low[0], -high[1], low[2]], [high[0], -low[1], high[2]]],
+        }
     }
 
     fn add_feet(&self, body: &mut LinkDescription, palette: &Palette) {
@@ -146,6 +159,7 @@ impl Microwave {
         let x = (Self::WALL_M + self.depth_m - Self::DOOR_M) / 2.0;
         let cavity_right = self.width_m / 2.0 - self.controls_m;
         let y = (-self.width_m / 2.0 + Self::WALL_M + cavity_right) / 2.0;
+        let y = -self.hinge_side.sign() * y;
         let z = Self::FOOT_M + Self::WALL_M;
         let radius = 0.12f64.min(x - Self::WALL_M - 0.01);
         let plate = Solid::rod(radius, 0.008, 32).moved(&Pose::translation(x, y, z));

@@ -9,6 +9,7 @@ use akrobat_model::{KinematicTree, ModelError, Pose, SceneBody};
 use serde::Serialize;
 
 pub mod classes;
+pub mod floor;
 pub mod grasps;
 mod ground;
 pub mod infinigen;

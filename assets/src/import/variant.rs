@@ -99,6 +99,11 @@ impl Base {
             return Err(ModelError::invalid(&path, message.to_owned()));
         }
         let (tree, _) = urdf::read(&folder.join("scene.urdf"), &AssetSearch::default())?;
+        // Bases move within some metres of the origin.
+        let [low, high] = Ground::new(&bodies(&tree)).bounds();
+        let middle = (low + high) / 2.0;
+        let centred_from_world = Pose::translation(-middle.x, -middle.y, 0.0);
+        let tree = moved(&tree, &centred_from_world)?;
         let objects = manifest["objects"].as_array().cloned().unwrap_or_default();
         let slots = objects.iter().map(|entry| slot(folder, entry));
         let slots = slots.collect::<Result<Vec<_>, _>>()?;
@@ -107,7 +112,14 @@ impl Base {
             folder: folder.to_path_buf(),
             license: manifest["license"].as_str().unwrap_or_default().into(),
             ground: Ground::new(&bodies(&tree)),
-            slots: slots.into_iter().flatten().collect(),
+            slots: slots
+                .into_iter()
+                .flatten()
+                .map(|slot| Slot {
+                    world_from_back: centred_from_world * slot.world_from_back,
+                    ..slot
+                })
+                .collect(),
             tree,
         })
     }
@@ -198,6 +210,15 @@ impl ObjectClass {
 
 fn copy(from: &Path, to: &Path) -> Result<(), AssetError> {
     std::fs::copy(from, to).map(drop).map_err(|e| AssetError::write(to, e))
+}
+
+/// The tree with everything that hangs from its root moved.
+fn moved(tree: &KinematicTree, new_from_old: &Pose) -> Result<KinematicTree, ModelError> {
+    let mut joints = tree.joints().to_vec();
+    for joint in joints.iter_mut().filter(|joint| joint.parent == tree.root()) {
+        joint.parent_from_joint = new_from_old * joint.parent_from_joint;
+    }
+    KinematicTree::new(tree.name.clone(), tree.links().to_vec(), joints)
 }
 
 fn bodies(tree: &KinematicTree) -> Vec<SceneBody> {
