@@ -57,7 +57,7 @@ def robot_files() -> tuple[Path, Path]:
 
 def run_planner(problems: Path, urdf: Path, assets: Path, options: list[str]) -> dict:
     """Builds and runs the Rust side."""
-    build = ["cargo", "build", "--release", "--quiet", "-p", "akrobat-planner"]
+    build = ["cargo", "build", "--release", "--quiet", "--workspace"]
     subprocess.run([*build, "--example", "motionbenchmaker"], check=True, cwd=ROOT)
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     binary = target / "release" / "examples" / "motionbenchmaker"

@@ -50,6 +50,22 @@ HELD = {"manipulate"}
 
 
 @dataclass
+class Candidate:
+    """A path to be judged: rows of robot and object joints, as the file orders them."""
+
+    id: str
+    robot: np.ndarray
+    object: np.ndarray
+    times: np.ndarray
+    phases: list[str]
+    # The tool in the held link, `x y z qw qx qy qz`.
+    grasp: np.ndarray
+    # The driven joint's position before and after.
+    start: float
+    goal: float
+
+
+@dataclass
 class Finding:
     """What was found on one trajectory: the worst of every check."""
 
@@ -306,6 +322,8 @@ class Judge:
 
     def collision(self) -> str | None:
         """The first pair that collides as everything is placed now."""
+        if not pin.computeCollisions(self.geometry, self.geometry_data, True):
+            return None
         for index, pair in enumerate(self.geometry.collisionPairs):
             if self.is_deep(index):
                 names = [self.geometry.geometryObjects[i].name for i in (pair.first, pair.second)]
@@ -367,29 +385,41 @@ class File:
 
     def finding(self, index: int, stride: int) -> Finding:
         rows = slice(self.offset[index], self.offset[index + 1])
-        robot, moved, times = self.robot[rows], self.object[rows], self.times[rows]
-        phases = [self.phases[p] for p in self.phase[rows]]
-        out = Finding(id=self.ids[index])
-        if not (np.isfinite(robot).all() and np.isfinite(moved).all()):
+        candidate = Candidate(
+            id=self.ids[index],
+            robot=self.robot[rows],
+            object=self.object[rows],
+            times=self.times[rows],
+            phases=[self.phases[p] for p in self.phase[rows]],
+            grasp=self.grasp[index],
+            start=self.start[index],
+            goal=self.goal[index],
+        )
+        return self.examine(candidate, stride)
+
+    def examine(self, path: Candidate, stride: int = 1) -> Finding:
+        """Judges a path of this task, from wherever it is."""
+        out = Finding(id=path.id)
+        if not (np.isfinite(path.robot).all() and np.isfinite(path.object).all()):
             out.refuse("malformed", "a value is not finite")
             return out
-        self.check_anchor(index, robot, moved, phases, out)
-        self.check_limits(robot, times, out)
-        self.check_object(index, moved, phases, out)
+        self.check_anchor(path, out)
+        self.check_limits(path.robot, path.times, out)
+        self.check_object(path, out)
         if out.refused is None:
-            self.check_collisions(robot, moved, phases, stride, out)
+            self.check_collisions(path, stride, out)
         return out
 
-    def check_anchor(self, index, robot, moved, phases, out: Finding) -> None:
+    def check_anchor(self, path: Candidate, out: Finding) -> None:
         judge = self.judge
         tool = judge.robot_model.getFrameId(judge.robot["gripper"]["tool_link"])
         handle = judge.object_model.getFrameId(judge.handle)
         link_from_tool = pose(judge.robot["gripper"]["link_from_tool"])
-        handle_from_tool = pose(self.grasp[index])
-        for sample, phase in enumerate(phases):
+        handle_from_tool = pose(path.grasp)
+        for sample, phase in enumerate(path.phases):
             if phase not in HELD:
                 continue
-            self.place(robot[sample], moved[sample])
+            self.place(path.robot[sample], path.object[sample])
             actual = judge.robot_data.oMf[tool] * link_from_tool
             wanted = judge.world_from_object * judge.object_data.oMf[handle] * handle_from_tool
             off = wanted.actInv(actual)
@@ -423,27 +453,27 @@ class File:
                 at = int(speed.argmax())
                 out.refuse("velocity_limit", f"{name}: {speed[at]:.2f} of its limit at sample {at}")
 
-    def check_object(self, index, moved, phases, out: Finding) -> None:
-        held = np.array([phase in HELD for phase in phases])
-        active = moved[:, self.active]
-        travel = abs(self.goal[index] - self.start[index])
-        ends = abs(active[0] - self.start[index]), abs(active[held][-1] - self.goal[index])
+    def check_object(self, path: Candidate, out: Finding) -> None:
+        held = np.array([phase in HELD for phase in path.phases])
+        active = path.object[:, self.active]
+        travel = abs(path.goal - path.start)
+        ends = abs(active[0] - path.start), abs(active[held][-1] - path.goal)
         if max(ends) > TRAVEL_TOLERANCE * travel:
             out.refuse("object_motion", f"misses start or goal by {max(ends):.4f}")
-        others = np.delete(moved, self.active, axis=1)
+        others = np.delete(path.object, self.active, axis=1)
         first = int(np.flatnonzero(held)[0])
         before = np.ptp(active[:first]) if first else 0.0
         aside = np.ptp(others, axis=0).max() if others.size else 0.0
         if max(aside, before) > LIMIT_TOLERANCE:
             out.refuse("object_motion", "moves what is not held")
 
-    def check_collisions(self, robot, moved, phases, stride, out: Finding) -> None:
-        for sample in range(0, len(robot), stride):
-            self.place(robot[sample], moved[sample])
+    def check_collisions(self, path: Candidate, stride: int, out: Finding) -> None:
+        for sample in range(0, len(path.robot), stride):
+            self.place(path.robot[sample], path.object[sample])
             out.configurations += 1
             pair = self.judge.collision()
             if pair is not None:
-                out.refuse("collision", f"{pair} at sample {sample} ({phases[sample]})")
+                out.refuse("collision", f"{pair} at sample {sample} ({path.phases[sample]})")
                 return
 
 

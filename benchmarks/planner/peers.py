@@ -104,7 +104,7 @@ def kinematic_urdf(path: Path) -> str:
 
 def akrobat(problem: Problem, assets: Path, folder: Path) -> dict:
     """Ours, in its own process."""
-    build = ["cargo", "build", "--release", "--quiet", "-p", "akrobat-planner"]
+    build = ["cargo", "build", "--release", "--quiet", "--workspace"]
     subprocess.run([*build, "--example", "ik_bench"], check=True, cwd=ROOT)
 
     def listed(hand: pin.SE3) -> list[float]:

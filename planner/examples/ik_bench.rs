@@ -9,8 +9,6 @@
 //! `benchmarks/planner/peers.py` gives others the same.
 
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
-use std::time::Instant;
 
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::pose::from_xyz_wxyz;
@@ -19,6 +17,10 @@ use akrobat_planner::kinematics::{Frame, Kinematics};
 use serde::Deserialize;
 use serde_json::json;
 
+#[path = "common/cpu_time.rs"]
+mod cpu_time;
+use cpu_time::cpu_seconds;
+
 #[derive(Deserialize)]
 struct Input {
     robot: PathBuf,
@@ -26,16 +28,6 @@ struct Input {
     tolerance: [f64; 2],
     targets: Vec<[f64; 7]>,
     starts: Vec<Vec<Vec<f64>>>,
-}
-
-/// CPU time of this thread, seconds, in the kernel's steps of some milliseconds; wall time where the kernel does
-/// not tell.
-fn cpu_seconds() -> f64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    let wall = START.get_or_init(Instant::now).elapsed().as_secs_f64();
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let spent = text.and_then(|t| t.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()));
-    spent.map_or(wall, |ns| ns * 1e-9)
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

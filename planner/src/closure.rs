@@ -101,12 +101,9 @@ impl Closure {
             if !size.is_finite() || size > 5.0 {
                 return false;
             }
-            for (i, s) in scale.iter().enumerate() {
-                jacobian.column_mut(i).scale_mut(*s);
-            }
-            let normal = jacobian * jacobian.transpose() + Matrix6::identity() * 1e-12;
-            let Some(cholesky) = normal.cholesky() else { return false };
-            let step = jacobian.transpose() * cholesky.solve(&error);
+            let Some(step) = self.least_step(kinematics, x, &mut jacobian, &error, &scale) else {
+                return false;
+            };
             let longest = step.amax().max(1e-12);
             let shrink = (0.6 / longest).min(1.0);
             for (i, value) in x.iter_mut().enumerate() {
@@ -115,5 +112,36 @@ impl Closure {
             kinematics.clamp(x);
         }
         self.error(&kinematics.forward(x)).amax() < TOLERANCE
+    }
+    /// The step of least norm, in scaled variables, that takes the residual away to first order. A variable that is at a
+    /// limit and would be pushed beyond it leaves its share to the others: clamped alone, it would stall the iteration.
+    fn least_step(
+        &self,
+        kinematics: &Kinematics,
+        x: &Variables,
+        jacobian: &mut SMatrix<f64, 6, MAX_VARIABLES>,
+        error: &Vector6<f64>,
+        scale: &SVector<f64, MAX_VARIABLES>,
+    ) -> Option<SVector<f64, MAX_VARIABLES>> {
+        for (i, s) in scale.iter().enumerate() {
+            jacobian.column_mut(i).scale_mut(*s);
+        }
+        loop {
+            let normal = *jacobian * jacobian.transpose() + Matrix6::identity() * 1e-12;
+            let step = jacobian.transpose() * normal.cholesky()?.solve(error);
+            let mut held = false;
+            for (i, value) in x.iter().enumerate() {
+                let wanted = value - scale[i] * step[i];
+                let stuck = wanted < *value && *value <= kinematics.lower()[i]
+                    || wanted > *value && *value >= kinematics.upper()[i];
+                if stuck {
+                    jacobian.column_mut(i).fill(0.0);
+                    held = true;
+                }
+            }
+            if !held {
+                return Some(step);
+            }
+        }
     }
 }

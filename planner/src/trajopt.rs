@@ -68,9 +68,45 @@ impl Problem<'_> {
             .collect()
     }
 
-    /// Waypoints from a start to a goal configuration: straight in the variables, with the object's joint
-    /// following a smooth profile, each projected onto the constraint. `None` where a projection fails.
+    /// Waypoints from a start to a goal configuration, with the object's joint following a smooth profile: straight in the
+    /// variables and projected onto the constraint, or else between the ways that both ends take when the joint is
+    /// merely followed. `None` where projections fail.
     pub fn straight(&self, start: &[f64], goal: &[f64]) -> Option<Waypoints> {
+        self.along_line(start, goal).or_else(|| self.between_ways(start, goal))
+    }
+
+    /// Waypoints that pass from the start's way along the joint to the goal's: both are on the constraint at the same joint
+    /// position, and mostly nearer to each other than to the straight line.
+    fn between_ways(&self, start: &[f64], goal: &[f64]) -> Option<Waypoints> {
+        let (object, last) = (start.len() - 1, self.config.waypoints - 1);
+        let share = |step: usize| smooth(step as f64 / last as f64);
+        let positions = (1..last).map(|step| {
+            let s = share(step);
+            start[object] + (goal[object] - start[object]) * s
+        });
+        let way = |from: &[f64], positions: &mut dyn Iterator<Item = f64>| {
+            let mut x = from.to_vec();
+            let project = |q: f64| {
+                x[object] = q;
+                let held = self.closure.project(self.kinematics, &mut x, &self.mobility, true);
+                held.then(|| x.clone())
+            };
+            positions.map(project).collect::<Option<Waypoints>>()
+        };
+        let from_start = way(start, &mut positions.clone())?;
+        let from_goal = way(goal, &mut positions.rev())?;
+        let mut path = vec![start.to_vec()];
+        for (step, (a, b)) in (1..).zip(from_start.iter().zip(from_goal.iter().rev())) {
+            let mut x: Vec<f64> = a.iter().zip(b).map(|(a, b)| a + (b - a) * share(step)).collect();
+            self.closure.project(self.kinematics, &mut x, &self.mobility, true).then_some(())?;
+            path.push(x);
+        }
+        path.push(goal.to_vec());
+        Some(path)
+    }
+
+    /// Waypoints straight in the variables, each projected onto the constraint.
+    fn along_line(&self, start: &[f64], goal: &[f64]) -> Option<Waypoints> {
         let last = self.config.waypoints - 1;
         let mut path = vec![start.to_vec()];
         for step in 1..=last {

@@ -1,6 +1,6 @@
 """The compiled half of the package."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -111,6 +111,11 @@ class Task:
         """The robot: its tree, its planned joints and its gripper."""
     def object(self) -> dict[str, Any]:
         """The object: its tree, the driven joint and the handle."""
+    def link_poses(
+        self, robot: Mapping[str, float], object: Mapping[str, float]
+    ) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+        """World poses `x y z qw qx qy qz` of all links of the robot and of the object, by name, at
+        joint positions (rad or m) by name; joints that are not named rest."""
     def scene(self) -> list[dict[str, Any]]:
         """The static surroundings: a list of bodies with their parts."""
 
@@ -149,6 +154,7 @@ def plan(
     limit: int | None,
     seed: int | None,
     threads: int | None,
+    backend: str,
     assets: Sequence[Path],
     quiet: bool,
 ) -> Trajectories:

@@ -23,6 +23,7 @@ def plan(
     limit: int | None = None,
     seed: int | None = None,
     threads: int | None = None,
+    backend: Literal["auto", "cpu", "wgpu"] = "auto",
     assets: Sequence[StrPath] = (),
     quiet: bool = False,
 ) -> _core.Trajectories:
@@ -33,6 +34,8 @@ def plan(
     :param limit: stop once this many are accepted; the task's own limit where absent
     :param seed: seed of everything random; the task's own where absent
     :param threads: number of threads; the result does not depend on it
+    :param backend: where inverse kinematics and optimisation run: `wgpu` is the graphics processor
+        or a software Vulkan driver, `auto` a graphics processor where there is one, else the CPU
     :param assets: folders where assets are looked up, before those of `$AKROBAT_ASSET_PATH`
     :param quiet: no progress bars, no warnings
     """
@@ -42,6 +45,7 @@ def plan(
         limit=limit,
         seed=seed,
         threads=threads,
+        backend=backend,
         assets=[Path(folder) for folder in assets],
         quiet=quiet,
     )

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use akrobat::CancelToken;
 use akrobat::pipeline::{
-    self, BackendChoice, Context, EpisodeFilter, EpisodeList, Format, PlanRequest, RenderRequest,
-    Sharing, States,
+    self, BackendChoice, Context, EpisodeFilter, EpisodeList, Format, PlanBackend, PlanRequest,
+    RenderRequest, Sharing, States,
 };
 use akrobat::progress::{Progress, Verbosity};
 use akrobat_cameras::Modality;
@@ -20,7 +20,7 @@ use crate::trajectories::{PyTrajectories, plain};
 
 /// Plans a task; see `akrobat.plan`.
 #[pyfunction]
-#[pyo3(signature = (task, output, *, limit, seed, threads, assets, quiet))]
+#[pyo3(signature = (task, output, *, limit, seed, threads, backend, assets, quiet))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 pub fn plan(
     py: Python<'_>,
@@ -29,11 +29,13 @@ pub fn plan(
     limit: Option<usize>,
     seed: Option<u64>,
     threads: Option<usize>,
+    backend: &str,
     assets: Vec<PathBuf>,
     quiet: bool,
 ) -> PyResult<PyTrajectories> {
-    let request =
-        PlanRequest { task, output, assets, seed, limit, threads, ..PlanRequest::default() };
+    let backend = choice::<PlanBackend>("backend", backend)?;
+    let defaults = PlanRequest::default();
+    let request = PlanRequest { task, output, assets, seed, limit, threads, backend, ..defaults };
     let report = run(py, quiet, |context| pipeline::plan(&request, context))?;
     Ok(PyTrajectories::new(report.set))
 }

@@ -1,5 +1,6 @@
 //! Loaded tasks as plain Python values: what a physics engine needs to build robot, object and scene.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -11,7 +12,7 @@ use numpy::{PyArray, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use crate::errors::to_python;
+use crate::errors::{InputError, to_python};
 use crate::trajectories::plain;
 
 /// A task with everything it names loaded, repaired and checked.
@@ -113,6 +114,21 @@ impl PyTask {
         Ok(entry)
     }
 
+    /// World poses of all links of the robot and of the object, by name; joints that are not named rest.
+    #[pyo3(signature = (robot, object))]
+    fn link_poses<'py>(
+        &self,
+        py: Python<'py>,
+        robot: BTreeMap<String, f64>,
+        object: BTreeMap<String, f64>,
+    ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyDict>)> {
+        let own = &self.task.robot;
+        let robot = link_poses(py, &own.tree, &own.world_from_root, &own.rest, &robot)?;
+        let own = &self.task.object;
+        let object = link_poses(py, &own.tree, &own.world_from_root, &own.start, &object)?;
+        Ok((robot, object))
+    }
+
     /// The static surroundings: a list of bodies with their parts.
     fn scene<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let bodies = PyList::empty(py);
@@ -125,6 +141,34 @@ impl PyTask {
         }
         Ok(bodies)
     }
+}
+
+fn link_poses<'py>(
+    py: Python<'py>,
+    tree: &KinematicTree,
+    world_from_root: &Pose,
+    rest: &[f64],
+    positions: &BTreeMap<String, f64>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let mut q = rest.to_vec();
+    for (name, &position) in positions {
+        let joint = tree.joint_index(name).map_err(|error| to_python(error.into()))?;
+        let column = tree.column(joint).ok_or_else(|| {
+            let valid = tree.dof_joints().iter().map(|&j| tree.joints()[j].name.as_str());
+            let valid = valid.collect::<Vec<_>>().join(", ");
+            InputError::new_err(format!(
+                "{}: joint \"{name}\" does not move of its own; valid joints: {valid}",
+                tree.name
+            ))
+        })?;
+        q[column] = position;
+    }
+    let found = PyDict::new(py);
+    for (link, world_from_link) in tree.links().iter().zip(tree.link_poses(world_from_root, &q)) {
+        let values = PyArray::from_slice(py, &pose::to_xyz_wxyz(&world_from_link));
+        found.set_item(&link.name, values)?;
+    }
+    Ok(found)
 }
 
 fn search(assets: &[PathBuf]) -> PyResult<AssetSearch> {

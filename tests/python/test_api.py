@@ -67,6 +67,8 @@ def test_datasets_map_samples_to_arrays(drawer_dataset: akrobat.Dataset) -> None
 def test_errors_name_the_file_and_the_choices(tmp_path: Path, drawer_file: Path) -> None:
     with pytest.raises(akrobat.InputError, match=r"missing\.toml"):
         akrobat.plan(tmp_path / "missing.toml")
+    with pytest.raises(akrobat.InputError, match=r"valid choices: auto, cpu, wgpu"):
+        akrobat.plan(tmp_path / "missing.toml", backend="abacus")  # type: ignore[arg-type]
     with pytest.raises(akrobat.InputError, match=r"valid choices: .*soft"):
         akrobat.render(drawer_file, tmp_path / "out", backend="crayons")  # type: ignore[arg-type]
     with pytest.raises(akrobat.InputError, match="paper"):
@@ -78,3 +80,17 @@ def test_errors_name_the_file_and_the_choices(tmp_path: Path, drawer_file: Path)
     with pytest.raises(akrobat.InputError, match=r"broken\.h5"):
         akrobat.open(broken)
     assert not (tmp_path / "out").exists()
+
+
+def test_plans_on_the_device_and_on_the_cpu_are_alike(shared_assets: Path) -> None:
+    task = Path(__file__).parents[2] / "configs" / "tasks" / "summit_drawer_empty.toml"
+    cpu, wgpu = (
+        akrobat.plan(task, limit=2, backend=backend, assets=[shared_assets], quiet=True)
+        for backend in ("cpu", "wgpu")
+    )
+    assert len(cpu) == len(wgpu) == 2
+    for one, other in zip(cpu, wgpu, strict=True):
+        assert one.id == other.id
+        assert one.verdict is not None
+        assert other.verdict is not None
+        assert np.abs(one.waypoints_robot - other.waypoints_robot).max() < 0.05
