@@ -29,6 +29,7 @@ use crate::dense;
 use crate::gpu::Session;
 use crate::ik::Tool;
 use crate::kinematics::Kinematics;
+use crate::reuse::Reuse;
 use crate::spheres::{self, SphereModel};
 use crate::trajopt::{Problem, Waypoints};
 use crate::world::{World, handle_center, is_handle_part, outward};
@@ -85,11 +86,19 @@ impl Preparation {
     /// # Errors
     /// [`PlanError::Model`] of the sphere file; [`PlanError::DifferentialBase`].
     pub fn new(task: &Task) -> Result<Self, PlanError> {
+        Self::reusing(task, &Reuse::default())
+    }
+
+    /// [`Self::new`], with what is kept from other tasks.
+    ///
+    /// # Errors
+    /// As for [`Self::new`].
+    pub fn reusing(task: &Task, reuse: &Reuse) -> Result<Self, PlanError> {
         let robot = &task.robot;
         if robot.file.base.kind == BaseKind::Differential {
             return Err(PlanError::DifferentialBase { robot: robot.name.clone() });
         }
-        let spheres = spheres::of_robot(robot, robot.spheres_path.as_deref())?;
+        let spheres = spheres::of_robot_reusing(robot, reuse)?;
         let self_pairs = collision::self_collision_pairs(robot, &spheres);
         Ok(Self { self_pairs, exceptions: contact_exceptions(task), spheres })
     }

@@ -8,6 +8,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::esdf::{Esdf, Triangles, collect_triangles};
+use crate::reuse::{Fingerprint, Reuse};
 
 /// A sphere that stands for a part of a link.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -65,7 +66,7 @@ impl Closeness {
 const MAX_CANDIDATES: usize = 2500;
 const MAX_SAMPLES: usize = 2500;
 
-/// The spheres of a robot: imported where its file names a YAML, else fitted.
+/// The spheres of a robot: imported where a YAML is named, else fitted.
 ///
 /// # Errors
 /// [`ModelError`] of the YAML.
@@ -74,6 +75,21 @@ pub fn of_robot(robot: &Robot, yaml: Option<&Path>) -> Result<SphereModel, Model
         Some(path) => import_curobo(robot, path),
         None => Ok(fit(&robot.tree, robot.file.spheres.voxel_m)),
     }
+}
+
+/// The spheres of a robot, from the YAML that its file names or fitted once for all tasks that have it.
+pub(crate) fn of_robot_reusing(robot: &Robot, reuse: &Reuse) -> Result<SphereModel, ModelError> {
+    if let Some(path) = &robot.spheres_path {
+        return import_curobo(robot, path);
+    }
+    let voxel_m = robot.file.spheres.voxel_m;
+    let mut geometry = Fingerprint::default();
+    geometry.numbers(voxel_m.as_slice());
+    for link in robot.tree.links() {
+        geometry.text(&link.name);
+        geometry.triangles(&link_triangles(link));
+    }
+    Ok(SphereModel::clone(&reuse.spheres(geometry, || fit(&robot.tree, voxel_m))))
 }
 
 /// Fits spheres to every link that has geometry.

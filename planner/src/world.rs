@@ -1,6 +1,8 @@
 //! What the robot may not touch: distance fields of everything that rests and of what the driven
 //! joint moves.
 
+use std::sync::Arc;
+
 use akrobat_model::task::{ManipulatedObject, Task};
 use akrobat_model::{JointKind, Part, Pose};
 use nalgebra::Vector3;
@@ -8,6 +10,7 @@ use nalgebra::Vector3;
 use crate::config::PlannerConfig;
 use crate::esdf::{Esdf, Triangles, collect_triangles};
 use crate::kinematics::{Frame, Motion};
+use crate::reuse::Reuse;
 
 /// Scene classes the base stands on: kept out of the field, replaced by the plane z = 0.
 const FLOOR_CLASSES: [&str; 2] = ["floor", "ground"];
@@ -72,9 +75,9 @@ impl DrivenJoint {
 #[derive(Debug, Clone)]
 pub struct World {
     /// Scene, and the object's links that the driven joint does not move. World frame.
-    pub fixed: Esdf,
+    pub fixed: Arc<Esdf>,
     /// The object's links that the driven joint moves, in the frame of the joint's child.
-    pub moving: Esdf,
+    pub moving: Arc<Esdf>,
     /// The driven joint.
     pub joint: DrivenJoint,
     /// Height of the floor the base stands on.
@@ -84,6 +87,11 @@ pub struct World {
 impl World {
     /// Builds the fields of a task around the object's handle.
     pub fn build(task: &Task, config: &PlannerConfig) -> Self {
+        Self::reusing(task, config, &Reuse::default())
+    }
+
+    /// [`Self::build`], with what is kept from other tasks.
+    pub fn reusing(task: &Task, config: &PlannerConfig, reuse: &Reuse) -> Self {
         let object = &task.object;
         let start = object.tree.link_poses(&object.world_from_root, &object.start);
         let moved = moved_links(object);
@@ -118,22 +126,22 @@ impl World {
         let seeds = free_seeds(object, &handle, high.z);
         let world_from_child = Frame::from(&start[child]);
         Self {
-            fixed: Esdf::build(&resting, low, high, config.voxel_size_m, &seeds),
-            moving: moving_field(&moving, &world_from_child.inverse_transform(&handle)),
+            fixed: reuse.field(&resting, [low, high], config.voxel_size_m, &seeds),
+            moving: moving_field(&moving, &world_from_child.inverse_transform(&handle), reuse),
             joint: DrivenJoint::new(object),
             floor_z: 0.0,
         }
     }
 }
 
-fn moving_field(triangles: &Triangles, handle: &Vector3<f64>) -> Esdf {
+fn moving_field(triangles: &Triangles, handle: &Vector3<f64>, reuse: &Reuse) -> Arc<Esdf> {
     let corners = || triangles.iter().flatten();
     if triangles.is_empty() {
-        return Esdf::empty(1.0);
+        return Arc::new(Esdf::empty(1.0));
     }
     let low = corners().fold(*handle, |a, c| a.inf(c)) - Vector3::repeat(MOVING_MARGIN_M);
     let high = corners().fold(*handle, |a, c| a.sup(c)) + Vector3::repeat(MOVING_MARGIN_M);
-    Esdf::build(triangles, low, high, MOVING_VOXEL_M, &[low])
+    reuse.field(triangles, [low, high], MOVING_VOXEL_M, &[low])
 }
 
 /// For each link of the object, whether the driven joint moves it.

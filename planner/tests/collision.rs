@@ -4,7 +4,7 @@
 
 mod common;
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use akrobat_model::Pose;
 use akrobat_model::task::Task;
@@ -86,10 +86,10 @@ impl Bench {
     fn only(&self, fixed: bool, moving: bool, floor: bool) -> World {
         let mut world = self.world.clone();
         if !fixed {
-            world.fixed = Esdf::empty(1.0);
+            world.fixed = Arc::new(Esdf::empty(1.0));
         }
         if !moving {
-            world.moving = Esdf::empty(1.0);
+            world.moving = Arc::new(Esdf::empty(1.0));
         }
         if !floor {
             world.floor_z = -10.0;

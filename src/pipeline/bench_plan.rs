@@ -8,10 +8,11 @@ use akrobat_assets::demo;
 use akrobat_model::robot::BaseKind;
 use akrobat_model::trajectory::Trajectory;
 use akrobat_model::{ModelError, TrajectorySet};
-use akrobat_planner::Optimiser;
+use akrobat_planner::{Optimiser, Reuse};
 use serde::{Deserialize, Serialize};
 
-use super::{Context, PlanBackend, PlanRequest, plan};
+use super::plan::plan_reusing;
+use super::{Context, PlanBackend, PlanRequest};
 use crate::{Error, resources};
 
 /// The frozen set and what it names, relative to one folder.
@@ -183,6 +184,7 @@ pub fn bench_plan(
         std::fs::create_dir_all(keep).map_err(|e| Error::write(keep, &e))?;
     }
     let (began, cpu_before) = (Instant::now(), resources::cpu_seconds());
+    let reuse = Reuse::default();
     let (mut problems, mut left_out) = (Vec::new(), Vec::new());
     for problem in &set.problems {
         if began.elapsed().as_secs_f64() > request.seconds {
@@ -194,7 +196,7 @@ pub fn bench_plan(
             Some(keep) => keep.join(file_name(&problem.task)).with_extension("h5"),
             None => folder.path().join("trajectories.h5"),
         };
-        problems.push(run_problem(request, problem, task, output, &assets, context)?);
+        problems.push(run_problem(request, problem, task, output, &assets, context, &reuse)?);
     }
     let seconds = began.elapsed().as_secs_f64();
     let valid = problems.iter().map(|p| p.valid).sum();
@@ -268,10 +270,11 @@ fn run_problem(
     output: PathBuf,
     assets: &[PathBuf],
     context: &Context<'_>,
+    reuse: &Reuse,
 ) -> Result<ProblemResult, Error> {
     let name = task.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let (began, cpu_before) = (Instant::now(), resources::cpu_seconds());
-    let planned = plan(
+    let planned = plan_reusing(
         &PlanRequest {
             task,
             output: Some(output),
@@ -284,6 +287,7 @@ fn run_problem(
             optimiser: Some(request.optimiser),
         },
         context,
+        reuse,
     )?;
     let set = &planned.set;
     Ok(ProblemResult {

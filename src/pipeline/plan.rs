@@ -12,7 +12,7 @@ use akrobat_packager::trajectory_file;
 use akrobat_planner::plan::Explanation;
 use akrobat_planner::spheres::SphereFit;
 use akrobat_planner::world::World;
-use akrobat_planner::{Backend, Optimiser, PlanError, PlannerConfig, Preparation};
+use akrobat_planner::{Backend, Optimiser, PlanError, PlannerConfig, Preparation, Reuse};
 
 use super::{Context, check_writable, folder_of, on_threads};
 use crate::Error;
@@ -90,6 +90,18 @@ pub struct PlanReport {
 /// # Errors
 /// Where the task is wrong, the output cannot be written, or the user asked to stop.
 pub fn plan(request: &PlanRequest, context: &Context<'_>) -> Result<PlanReport, Error> {
+    plan_reusing(request, context, &Reuse::default())
+}
+
+/// [`plan()`], with what is kept from other tasks.
+///
+/// # Errors
+/// As for [`plan()`].
+pub fn plan_reusing(
+    request: &PlanRequest,
+    context: &Context<'_>,
+    reuse: &Reuse,
+) -> Result<PlanReport, Error> {
     if let Some(output) = &request.output {
         check_writable(output)?;
     }
@@ -101,7 +113,7 @@ pub fn plan(request: &PlanRequest, context: &Context<'_>) -> Result<PlanReport, 
     }
     let observer = context.observer;
     let mut report = on_threads(request.threads, || {
-        plan_task(&backend, &task, &config, request.explain, observer)
+        plan_task(&backend, &task, &config, request.explain, observer, reuse)
     })?;
     if let (Some(output), false) = (&request.output, report.set.trajectories.is_empty()) {
         report.set.header.task_dir = relative_folder(folder_of(output), folder_of(&request.task))?;
@@ -135,9 +147,11 @@ fn plan_task(
     config: &PlannerConfig,
     explain: bool,
     observer: &dyn akrobat_model::events::Observer,
+    reuse: &Reuse,
 ) -> Result<PlanReport, Error> {
     let began = std::time::Instant::now();
-    let (prepared, world) = rayon::join(|| prepare(task), || World::build(task, config));
+    let (prepared, world) =
+        rayon::join(|| prepare(task, reuse), || World::reusing(task, config, reuse));
     let ((preparation, judge), prepared_s) = (prepared?, began.elapsed().as_secs_f64());
     let judge_one = |trajectory: &_| judge.judge(trajectory);
     let mut outcome = akrobat_planner::plan_on(
@@ -167,8 +181,8 @@ fn plan_task(
 }
 
 /// Spheres and masks of the robot, and who judges what is planned with them.
-fn prepare(task: &Task) -> Result<(Preparation, Judge), Error> {
-    let preparation = Preparation::new(task)?;
+fn prepare(task: &Task, reuse: &Reuse) -> Result<(Preparation, Judge), Error> {
+    let preparation = Preparation::reusing(task, reuse)?;
     let spheres: Vec<RobotSphere> = preparation
         .spheres
         .spheres

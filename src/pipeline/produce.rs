@@ -6,11 +6,13 @@ use std::time::{Duration, Instant};
 
 use akrobat_model::events::Event;
 use akrobat_model::{ModelError, load};
+use akrobat_planner::Reuse;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::generate_scene::{SCENES_FILE, SceneEntry, SceneSet, SceneTask};
-use super::{Context, PlanRequest, folder_of, plan};
+use super::plan::plan_reusing;
+use super::{Context, PlanRequest, folder_of};
 use crate::Error;
 
 const STAGE: &str = "tasks";
@@ -224,6 +226,7 @@ pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<Produc
     check_robots(request, &tasks, context)?;
     let budget = request.time_budget_s.map(Duration::from_secs_f64);
     let began = Instant::now();
+    let reuse = Reuse::default();
     let mut report = ProduceReport {
         name: job.name.clone(),
         output: output.clone(),
@@ -243,7 +246,7 @@ pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<Produc
             }
             None => {
                 report.planned += 1;
-                let record = plan_one(request, &job, task, &path, context)?;
+                let record = plan_one(request, &job, task, &path, context, &reuse)?;
                 write_record(&path, &record)?;
                 record
             }
@@ -327,7 +330,8 @@ fn read_set(folder: &Path) -> Result<PlacedSet, Error> {
     Ok((folder.to_path_buf(), set))
 }
 
-/// The tasks, one of every scene first, so that a run that is cut short has seen all scenes.
+/// The tasks, one object of every scene first, so that a run that is cut short has seen all scenes. All robots
+/// open an object in turn, since they share its distance fields.
 fn tasks<'a>(
     request: &ProduceRequest,
     job: &ProductionFile,
@@ -343,8 +347,12 @@ fn tasks<'a>(
     let mut tasks: Vec<_> = chosen
         .enumerate()
         .flat_map(|(place, (folder, scene))| {
-            let of_scene = wanted(job, most, scene).into_iter().enumerate();
-            of_scene.map(move |(round, task)| ((round, place), Job { folder, scene, task }))
+            let mut rounds: BTreeMap<&str, usize> = BTreeMap::new();
+            wanted(job, most, scene).into_iter().map(move |task| {
+                let round = rounds.entry(&task.robot).or_default();
+                *round += 1;
+                ((*round, place), Job { folder, scene, task })
+            })
         })
         .collect();
     tasks.sort_by_key(|(order, _)| *order);
@@ -399,11 +407,12 @@ fn plan_one(
     task: &Job<'_>,
     record_path: &Path,
     context: &Context<'_>,
+    reuse: &Reuse,
 ) -> Result<Record, Error> {
     let folder = folder_of(record_path);
     std::fs::create_dir_all(folder).map_err(|e| Error::write(folder, &e))?;
     let began = Instant::now();
-    let planned = plan(
+    let planned = plan_reusing(
         &PlanRequest {
             task: task.file(),
             output: Some(record_path.with_extension("h5")),
@@ -413,6 +422,7 @@ fn plan_one(
             ..PlanRequest::default()
         },
         context,
+        reuse,
     );
     let (accepted, counts, error) = match planned {
         Ok(report) => (report.set.trajectories.len(), report.counts, None),
