@@ -1,5 +1,7 @@
 //! Clearance of a robot's spheres: to the world, to the moving object and to each other.
 
+use std::cell::RefCell;
+
 use akrobat_model::Robot;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -154,7 +156,13 @@ impl Near {
     }
 }
 
+thread_local! {
+    /// Where this thread places links and spheres, so that a check asks for no memory.
+    static PLACED: RefCell<Placed> = RefCell::default();
+}
+
 /// Links and spheres in the world.
+#[derive(Default)]
 struct Placed {
     /// Centre of each link's bounding sphere.
     bound_centers: Vec<Vector3<f64>>,
@@ -162,7 +170,7 @@ struct Placed {
     near: Vec<Near>,
     /// Checked pairs of links that may touch.
     pairs: Vec<PairGroup>,
-    /// Centres of the spheres of links that may touch anything; of others, zero.
+    /// Centres of the spheres of links that may touch anything; of others, whatever they were.
     centers: Vec<Vector3<f64>>,
 }
 
@@ -357,7 +365,28 @@ impl RobotBody {
         };
         let world_from_moved = world.joint.world_from_moved(object_q);
         let far = enough.max(FAR_M);
-        let scene = self.place(frames, world, &world_from_moved, far, enough.max(PAIR_FAR_M));
+        let pair_far = enough.max(PAIR_FAR_M);
+        PLACED.with_borrow_mut(|scene| {
+            self.place(frames, world, &world_from_moved, far, pair_far, scene);
+            // Nothing more is looked at once something is too close.
+            let _ = self.distances(scene, world, &world_from_moved, moving, far, &mut note)
+                || self.near_pairs(scene, pair_far, |a, b, distance| {
+                    note(distance, self.spheres[a].link, Obstacle::Link(self.spheres[b].link))
+                });
+        });
+        worst
+    }
+
+    /// Tells `note` the distances of spheres to fields and floor until it says that they are enough; true where it did.
+    fn distances(
+        &self,
+        scene: &Placed,
+        world: &World,
+        world_from_moved: &Frame,
+        moving: MovingCheck,
+        far: f64,
+        note: &mut impl FnMut(f64, usize, Obstacle) -> bool,
+    ) -> bool {
         for (bound, near) in self.bounds.iter().zip(&scene.near) {
             for index in near.spheres(bound) {
                 let (sphere, center) = (&self.spheres[index], &scene.centers[index]);
@@ -367,11 +396,11 @@ impl RobotBody {
                     && !world.fixed.is_beyond(center, reach)
                     && note(fixed(), sphere.link, Obstacle::Fixed)
                 {
-                    return worst;
+                    return true;
                 }
                 let floor = center.z - sphere.radius - world.floor_z;
                 if !sphere.on_base && !sphere.rests && note(floor, sphere.link, Obstacle::Floor) {
-                    return worst;
+                    return true;
                 }
                 if near.moving && (moving == MovingCheck::All || !sphere.on_tool) {
                     let local = world_from_moved.inverse_transform(center);
@@ -380,17 +409,12 @@ impl RobotBody {
                     }
                     let distance = world.moving.distance(&local) - sphere.radius;
                     if note(distance, sphere.link, Obstacle::Moving) {
-                        return worst;
+                        return true;
                     }
                 }
             }
         }
-        for (a, b, distance) in self.near_pairs(&scene, enough.max(PAIR_FAR_M)) {
-            if note(distance, self.spheres[a].link, Obstacle::Link(self.spheres[b].link)) {
-                return worst;
-            }
-        }
-        worst
+        false
     }
 
     /// Places the bounding spheres of all links, and the spheres of those that come within `reach` of a field or
@@ -403,23 +427,22 @@ impl RobotBody {
         world_from_moved: &Frame,
         reach: f64,
         pair_reach: f64,
-    ) -> Placed {
-        let bound_centers: Vec<Vector3<f64>> =
-            self.bounds.iter().map(|b| frames.frames[b.node].transform(&b.center)).collect();
-        let mut near: Vec<Near> = self
-            .bounds
-            .iter()
-            .zip(&bound_centers)
-            .map(|(bound, center)| {
-                let least = bound.radius + reach;
-                let local = world_from_moved.inverse_transform(center);
-                let fixed = !bound.rests && !world.fixed.is_beyond(center, least);
-                let moving = !world.moving.is_beyond(&local, least);
-                let floor = !bound.rests && center.z - world.floor_z < least;
-                Near { fixed, moving, any: fixed || moving || floor }
-            })
-            .collect();
-        let mut pairs = Vec::new();
+        placed: &mut Placed,
+    ) {
+        let Placed { bound_centers, near, pairs, centers } = placed;
+        bound_centers.clear();
+        bound_centers
+            .extend(self.bounds.iter().map(|b| frames.frames[b.node].transform(&b.center)));
+        near.clear();
+        near.extend(self.bounds.iter().zip(&*bound_centers).map(|(bound, center)| {
+            let least = bound.radius + reach;
+            let local = world_from_moved.inverse_transform(center);
+            let fixed = !bound.rests && !world.fixed.is_beyond(center, least);
+            let moving = !world.moving.is_beyond(&local, least);
+            let floor = !bound.rests && center.z - world.floor_z < least;
+            Near { fixed, moving, any: fixed || moving || floor }
+        }));
+        pairs.clear();
         for group in &self.groups {
             let (a, b) = (&self.bounds[group.a], &self.bounds[group.b]);
             let apart = bound_centers[group.a] - bound_centers[group.b];
@@ -429,18 +452,23 @@ impl RobotBody {
                 pairs.push(*group);
             }
         }
-        let mut centers = vec![Vector3::zeros(); self.spheres.len()];
-        for (bound, near) in self.bounds.iter().zip(&near) {
+        // Those that are not near keep what they were, and nobody looks at them.
+        centers.resize(self.spheres.len(), Vector3::zeros());
+        for (bound, near) in self.bounds.iter().zip(&*near) {
             for index in near.spheres(bound) {
                 centers[index] = frames.frames[bound.node].transform(&self.spheres[index].center);
             }
         }
-        Placed { bound_centers, near, pairs, centers }
     }
 
-    /// Sphere pairs of near link pairs whose distance is below `reach`.
-    fn near_pairs(&self, scene: &Placed, reach: f64) -> Vec<(usize, usize, f64)> {
-        let mut out = Vec::new();
+    /// Tells `each` the sphere pairs of near link pairs whose distance is below `reach`, until it returns true; true where
+    /// it did.
+    fn near_pairs(
+        &self,
+        scene: &Placed,
+        reach: f64,
+        mut each: impl FnMut(usize, usize, f64) -> bool,
+    ) -> bool {
         for group in &scene.pairs {
             let (a, b) = (&self.bounds[group.a], &self.bounds[group.b]);
             let around_b = &scene.bound_centers[group.b];
@@ -453,13 +481,13 @@ impl RobotBody {
                 for j in b.first..b.last {
                     let sum = radius + self.spheres[j].radius;
                     let squared = (center - scene.centers[j]).norm_squared();
-                    if squared < (sum + reach) * (sum + reach) {
-                        out.push((i, j, squared.sqrt() - sum));
+                    if squared < (sum + reach) * (sum + reach) && each(i, j, squared.sqrt() - sum) {
+                        return true;
                     }
                 }
             }
         }
-        out
+        false
     }
 
     /// Hinge penalties of every clearance below `margin`: `sum (margin - d)^2`, over the variables of
@@ -476,7 +504,31 @@ impl RobotBody {
         out: &mut Penalty,
     ) {
         let world_from_moved = world.joint.world_from_moved(x[object_variable]);
-        let scene = self.place(frames, world, &world_from_moved, margin, margin);
+        PLACED.with_borrow_mut(|scene| {
+            self.place(frames, world, &world_from_moved, margin, margin, scene);
+            self.add_penalties(
+                kinematics,
+                frames,
+                world,
+                (&world_from_moved, object_variable),
+                margin,
+                scene,
+                out,
+            );
+        });
+    }
+
+    #[allow(clippy::too_many_arguments)] // as above
+    fn add_penalties(
+        &self,
+        kinematics: &Kinematics,
+        frames: &NodeFrames,
+        world: &World,
+        (world_from_moved, object_variable): (&Frame, usize),
+        margin: f64,
+        scene: &Placed,
+        out: &mut Penalty,
+    ) {
         let centers = &scene.centers;
         for (bound, near) in self.bounds.iter().zip(&scene.near) {
             for index in near.spheres(bound) {
@@ -517,14 +569,17 @@ impl RobotBody {
                 }
             }
         }
-        for (a, b, distance) in self.near_pairs(&scene, margin) {
-            let Some(direction) = (centers[a] - centers[b]).try_normalize(1e-9) else { continue };
+        self.near_pairs(scene, margin, |a, b, distance| {
+            let Some(direction) = (centers[a] - centers[b]).try_normalize(1e-9) else {
+                return false;
+            };
             let mut row = SVector::zeros();
             let (sa, sb) = (&self.spheres[a], &self.spheres[b]);
             kinematics.add_point_gradient(frames, sa.node, &centers[a], &-direction, &mut row);
             kinematics.add_point_gradient(frames, sb.node, &centers[b], &direction, &mut row);
             out.add(margin - distance, &row);
-        }
+            false
+        });
     }
 }
 

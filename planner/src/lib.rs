@@ -24,6 +24,7 @@ pub mod mask;
 pub mod penalty;
 pub mod plan;
 pub mod ptp;
+mod reduced;
 pub mod rest;
 pub mod reuse;
 pub mod spheres;

@@ -6,12 +6,13 @@
 //! Optimization*, 2006, section 18.3), so that the linear system is small and block-banded, and every
 //! iterate is projected back onto the manifold: the anchor is held exactly throughout.
 
-use nalgebra::{DMatrix, DVector, SVector};
+use nalgebra::SVector;
 
 use crate::closure::Closure;
 use crate::collision::{MovingCheck, Penalty, RobotBody};
 use crate::config::PlannerConfig;
 use crate::kinematics::{Kinematics, MAX_VARIABLES};
+use crate::reduced::{Banded, Basis, Column, MAX_ROWS, add_scaled, dot};
 use crate::world::World;
 
 /// Waypoints, each a configuration of the AKR.
@@ -151,15 +152,16 @@ impl Problem<'_> {
     }
 
     /// Optimises in place: the first waypoint stays, the last keeps the object's joint. What there is no hope
-    /// for is left as it is.
+    /// for is left as it is. Memory is asked for before the first iteration alone.
     pub fn optimise(&self, path: &mut Waypoints) {
         let spare = self.config.clearance_m - self.config.min_clearance_m;
         let deepest = path.iter().map(|x| self.waypoint_terms(x, 1.0).largest).fold(0.0, f64::max);
         if deepest > HOPELESS_START_M {
             return;
         }
+        let mut memory = Memory::new(path, self.kinematics.dof());
         for weight in CLEARANCE_WEIGHTS {
-            let left = self.round(path, weight);
+            let left = self.round(path, weight, &mut memory);
             if left < 0.8 * spare || left > HOPELESS_M {
                 break;
             }
@@ -183,7 +185,8 @@ impl Problem<'_> {
 
     /// What a path costs with the weight of the first round, and its largest clearance hinge, metres.
     pub fn cost(&self, path: &Waypoints) -> (f64, f64) {
-        let terms = self.terms(path, CLEARANCE_WEIGHTS[0]);
+        let mut terms = Vec::new();
+        self.terms(path, CLEARANCE_WEIGHTS[0], &mut terms);
         (self.total(path, &terms), terms.iter().map(|t| t.largest).fold(0.0, f64::max))
     }
 
@@ -196,20 +199,22 @@ impl Problem<'_> {
     }
 
     /// One round with a fixed clearance weight. Returns the largest clearance hinge that is left, metres.
-    fn round(&self, path: &mut Waypoints, weight: f64) -> f64 {
+    fn round(&self, path: &mut Waypoints, weight: f64, memory: &mut Memory) -> f64 {
         let mut damping = 1e-3;
-        let mut terms = self.terms(path, weight);
-        let mut cost = self.total(path, &terms);
+        self.terms(path, weight, &mut memory.terms);
+        let mut cost = self.total(path, &memory.terms);
         for _ in 0..self.config.iterations {
-            let Some(step) = self.step(path, &terms, damping) else { break };
-            let mut trial = path.clone();
-            let projected = self.apply(&mut trial, &step);
-            let trial_terms = self.terms(&trial, weight);
-            let trial_cost = self.total(&trial, &trial_terms);
+            if self.step(path, damping, memory).is_none() {
+                break;
+            }
+            memory.trial.iter_mut().zip(&*path).for_each(|(to, from)| to.copy_from_slice(from));
+            let projected = self.apply(&mut memory.trial, &memory.steps);
+            self.terms(&memory.trial, weight, &mut memory.trial_terms);
+            let trial_cost = self.total(&memory.trial, &memory.trial_terms);
             if projected && trial_cost < cost {
                 let gain = (cost - trial_cost) / cost.max(1e-12);
-                *path = trial;
-                terms = trial_terms;
+                std::mem::swap(path, &mut memory.trial);
+                std::mem::swap(&mut memory.terms, &mut memory.trial_terms);
                 cost = trial_cost;
                 damping = (damping * 0.3).max(1e-6);
                 if gain < LEAST_GAIN {
@@ -222,15 +227,15 @@ impl Problem<'_> {
                 }
             }
         }
-        terms.iter().map(|t| t.largest).fold(0.0, f64::max)
+        memory.terms.iter().map(|t| t.largest).fold(0.0, f64::max)
     }
 
-    fn apply(&self, path: &mut Waypoints, step: &[SVector<f64, MAX_VARIABLES>]) -> bool {
+    fn apply(&self, path: &mut Waypoints, steps: &[Column]) -> bool {
         let last = path.len() - 1;
         let mut held = true;
         for (t, x) in path.iter_mut().enumerate().skip(1) {
-            for (i, value) in x.iter_mut().enumerate() {
-                *value += step[t][i].clamp(-LONGEST_STEP, LONGEST_STEP);
+            for (value, step) in x.iter_mut().zip(&steps[t]) {
+                *value += step.clamp(-LONGEST_STEP, LONGEST_STEP);
             }
             self.kinematics.clamp(x);
             held &= self.closure.project(self.kinematics, x, &self.mobility, t == last);
@@ -239,8 +244,9 @@ impl Problem<'_> {
     }
 
     /// Clearance and limit penalties of every waypoint.
-    fn terms(&self, path: &Waypoints, weight: f64) -> Vec<Penalty> {
-        path.iter().map(|x| self.waypoint_terms(x, weight)).collect()
+    fn terms(&self, path: &Waypoints, weight: f64, terms: &mut Vec<Penalty>) {
+        terms.clear();
+        terms.extend(path.iter().map(|x| self.waypoint_terms(x, weight)));
     }
 
     pub(crate) fn waypoint_terms(&self, x: &[f64], weight: f64) -> Penalty {
@@ -276,15 +282,15 @@ impl Problem<'_> {
 
     /// The objective without penalties.
     pub(crate) fn smoothness(&self, path: &Waypoints) -> f64 {
+        let last = path.len() - 1;
         (0..self.kinematics.dof())
             .map(|i| {
-                let column: Vec<f64> = path.iter().map(|x| x[i]).collect();
-                let at = |t: isize| column[t.clamp(0, column.len() as isize - 1) as usize];
-                let steps: f64 = column.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+                let steps: f64 = path.windows(2).map(|w| (w[1][i] - w[0][i]).powi(2)).sum();
                 // Rest before the first and after the last waypoint.
-                let bends: f64 = (0..column.len() as isize)
-                    .map(|t| (at(t + 1) - 2.0 * at(t) + at(t - 1)).powi(2))
-                    .sum();
+                let bend = |t: usize| {
+                    path[(t + 1).min(last)][i] - 2.0 * path[t][i] + path[t.saturating_sub(1)][i]
+                };
+                let bends: f64 = (0..=last).map(|t| bend(t).powi(2)).sum();
                 self.velocity_weights[i] * steps + self.acceleration_weights[i] * bends
             })
             .sum()
@@ -302,80 +308,104 @@ impl Problem<'_> {
         self.velocity_weights[i] * velocity + self.acceleration_weights[i] * acceleration
     }
 
-    /// A Gauss-Newton step in the null space of the constraints of waypoints 1..T.
-    fn step(
-        &self,
-        path: &Waypoints,
-        terms: &[Penalty],
-        damping: f64,
-    ) -> Option<Vec<SVector<f64, MAX_VARIABLES>>> {
+    /// A Gauss-Newton step in the null space of the constraints of waypoints 1..T, into `memory.steps`.
+    fn step(&self, path: &Waypoints, damping: f64, memory: &mut Memory) -> Option<()> {
         let (count, dof) = (path.len(), self.kinematics.dof());
-        let bases: Vec<DMatrix<f64>> =
-            (1..count).map(|t| self.null_space(&path[t], t + 1 == count)).collect();
-        let offsets: Vec<usize> = bases
-            .iter()
-            .scan(0, |sum, basis| {
-                let offset = *sum;
-                *sum += basis.ncols();
-                Some(offset)
-            })
-            .collect();
-        let size: usize = bases.iter().map(DMatrix::ncols).sum();
-        let band = bases.iter().map(DMatrix::ncols).max().unwrap_or(0) * 3;
-        let mut system = Banded::new(size, band);
-        let mut right = DVector::zeros(size);
-        let stencil = self.stencil(count);
+        let Memory { terms, bases, offsets, system, steps, stencil, .. } = memory;
+        let (mut size, mut widest) = (0, 0);
         for t in 1..count {
-            let basis = &bases[t - 1];
-            let mut gradient = DVector::from_column_slice(&terms[t].gradient.as_slice()[..dof]);
-            for (other, x) in path.iter().enumerate() {
+            bases[t] = self.null_space(&path[t], t + 1 == count);
+            offsets[t] = size;
+            size += bases[t].columns().len();
+            widest = bases[t].columns().len().max(widest);
+        }
+        system.reset(size, 3 * widest);
+        for t in 1..count {
+            let mut gradient: Column = [0.0; MAX_VARIABLES];
+            gradient[..dof].copy_from_slice(&terms[t].gradient.as_slice()[..dof]);
+            for other in t.saturating_sub(2)..count.min(t + 3) {
                 for i in 0..dof {
-                    gradient[i] += stencil.weight(self, t, other, i) * x[i];
+                    gradient[i] += stencil.weight(self, t, other, i) * path[other][i];
                 }
             }
-            let reduced = basis.tr_mul(&gradient);
-            right.rows_mut(offsets[t - 1], basis.ncols()).copy_from(&-reduced);
+            for (row, column) in (offsets[t]..).zip(bases[t].columns()) {
+                system.right[row] = -dot(column, &gradient);
+            }
             for s in t..count.min(t + 3) {
-                let mut block = DMatrix::from_diagonal(&DVector::from_fn(dof, |i, _| {
-                    stencil.weight(self, t, s, i)
-                }));
-                if s == t {
-                    block += terms[t].hessian.view((0, 0), (dof, dof));
-                    for i in 0..dof {
-                        block[(i, i)] +=
-                            damping * (self.velocity_weights[i] + self.acceleration_weights[i]);
+                let diagonal: Column = std::array::from_fn(|i| {
+                    let smooth = if i < dof { stencil.weight(self, t, s, i) } else { return 0.0 };
+                    let weights = self.velocity_weights[i] + self.acceleration_weights[i];
+                    smooth + if s == t { damping * weights } else { 0.0 }
+                });
+                for (column, own) in (offsets[t]..).zip(bases[t].columns()) {
+                    let mut product: Column = std::array::from_fn(|i| diagonal[i] * own[i]);
+                    if s == t {
+                        for i in 0..dof {
+                            add_scaled(&mut product, own[i], &terms[t].hessian.data.0[i]);
+                        }
+                    }
+                    for (row, other) in (offsets[s]..).zip(bases[s].columns()) {
+                        if row >= column {
+                            system.add(row, column, dot(other, &product));
+                        }
                     }
                 }
-                let reduced = bases[s - 1].tr_mul(&(block * basis));
-                system.add_block(offsets[s - 1], offsets[t - 1], &reduced);
             }
         }
-        system.solve(&mut right)?;
-        let mut steps = vec![SVector::<f64, MAX_VARIABLES>::zeros(); count];
+        system.solve()?;
         for t in 1..count {
-            let basis = &bases[t - 1];
-            let y = right.rows(offsets[t - 1], basis.ncols());
-            steps[t].rows_mut(0, dof).copy_from(&(basis * y));
+            steps[t] = [0.0; MAX_VARIABLES];
+            for (row, column) in (offsets[t]..).zip(bases[t].columns()) {
+                add_scaled(&mut steps[t], system.right[row], column);
+            }
         }
-        Some(steps)
+        Some(())
     }
 
-    /// Orthonormal basis `[dof, k]` of the directions that keep the constraint to first order.
-    fn null_space(&self, x: &[f64], hold_object: bool) -> DMatrix<f64> {
+    /// Orthonormal basis of the directions that keep the constraint to first order.
+    fn null_space(&self, x: &[f64], hold_object: bool) -> Basis {
         let dof = x.len();
         let frames = self.kinematics.forward(x);
         let jacobian = self.closure.linearise(self.kinematics, &frames).jacobian;
-        let rows = if hold_object { 7 } else { 6 };
-        let mut transposed = DMatrix::zeros(dof, rows);
-        transposed.view_mut((0, 0), (dof, 6)).copy_from(&jacobian.columns(0, dof).transpose());
-        if hold_object {
-            transposed[(dof - 1, 6)] = 1.0;
+        let mut rows = [[0.0; MAX_VARIABLES]; MAX_ROWS];
+        for (row, values) in rows.iter_mut().zip(jacobian.row_iter()) {
+            row[..dof].iter_mut().zip(values.iter()).for_each(|(to, from)| *to = *from);
         }
-        complement(&transposed)
+        rows[MAX_ROWS - 1][dof - 1] = 1.0;
+        let count = if hold_object { MAX_ROWS } else { MAX_ROWS - 1 };
+        Basis::of_complement(&mut rows[..count], dof)
     }
+}
 
-    fn stencil(&self, count: usize) -> Stencil {
-        Stencil::new(count)
+/// What iterations write to.
+struct Memory {
+    trial: Waypoints,
+    terms: Vec<Penalty>,
+    trial_terms: Vec<Penalty>,
+    bases: Vec<Basis>,
+    /// First row of each waypoint in the system.
+    offsets: Vec<usize>,
+    system: Banded,
+    steps: Vec<Column>,
+    stencil: Stencil,
+}
+
+impl Memory {
+    /// Room for a path and the largest system that it can give.
+    fn new(path: &Waypoints, dof: usize) -> Self {
+        let count = path.len();
+        let mut system = Banded::default();
+        system.reserve(count * dof, 3 * dof);
+        Self {
+            trial: path.clone(),
+            terms: Vec::with_capacity(count),
+            trial_terms: Vec::with_capacity(count),
+            bases: vec![Basis::EMPTY; count],
+            offsets: vec![0; count],
+            system,
+            steps: vec![[0.0; MAX_VARIABLES]; count],
+            stencil: Stencil::new(count),
+        }
     }
 }
 
@@ -436,145 +466,4 @@ fn merged(terms: &[(isize, f64)]) -> Vec<(isize, f64)> {
         }
     }
     out
-}
-
-/// Orthonormal basis of the orthogonal complement of the columns of `matrix` `[n, k]`, by Householder
-/// reflections with column pivoting (Golub and Van Loan, *Matrix Computations*, 2013, section 5.4).
-fn complement(matrix: &DMatrix<f64>) -> DMatrix<f64> {
-    let (n, k) = matrix.shape();
-    let mut work = matrix.clone();
-    let mut reflectors: Vec<DVector<f64>> = Vec::new();
-    for column in 0..k.min(n) {
-        let norm = |c: usize, work: &DMatrix<f64>| work.view((column, c), (n - column, 1)).norm();
-        let pivot = (column..k)
-            .max_by(|&a, &b| norm(a, &work).total_cmp(&norm(b, &work)))
-            .unwrap_or(column);
-        work.swap_columns(column, pivot);
-        let length = norm(column, &work);
-        if length < 1e-9 {
-            break;
-        }
-        let mut v = DVector::zeros(n);
-        v.rows_mut(column, n - column).copy_from(&work.view((column, column), (n - column, 1)));
-        v[column] += length.copysign(v[column]);
-        v.normalize_mut();
-        for c in column..k {
-            let dot = v.dot(&work.column(c));
-            work.column_mut(c).axpy(-2.0 * dot, &v, 1.0);
-        }
-        reflectors.push(v);
-    }
-    let rank = reflectors.len();
-    let mut basis = DMatrix::zeros(n, n - rank);
-    for c in 0..n - rank {
-        basis[(rank + c, c)] = 1.0;
-    }
-    for v in reflectors.iter().rev() {
-        for c in 0..basis.ncols() {
-            let dot = v.dot(&basis.column(c));
-            basis.column_mut(c).axpy(-2.0 * dot, v, 1.0);
-        }
-    }
-    basis
-}
-
-/// A symmetric positive definite band matrix: lower part, rows of `band + 1` entries.
-struct Banded {
-    size: usize,
-    band: usize,
-    values: Vec<f64>,
-}
-
-impl Banded {
-    fn new(size: usize, band: usize) -> Self {
-        Self { size, band, values: vec![0.0; size * (band + 1)] }
-    }
-
-    fn at(&mut self, row: usize, column: usize) -> &mut f64 {
-        &mut self.values[row * (self.band + 1) + column + self.band - row]
-    }
-
-    /// Adds a block whose top left corner is at (`row`, `column`), on or below the diagonal.
-    fn add_block(&mut self, row: usize, column: usize, block: &DMatrix<f64>) {
-        for i in 0..block.nrows() {
-            for j in 0..block.ncols() {
-                if column + j <= row + i {
-                    *self.at(row + i, column + j) += block[(i, j)];
-                }
-            }
-        }
-    }
-
-    /// Cholesky factorisation and solution in place; `None` if the matrix is not positive definite.
-    fn solve(mut self, right: &mut DVector<f64>) -> Option<()> {
-        for i in 0..self.size {
-            let first = i.saturating_sub(self.band);
-            for j in first..=i {
-                let start = first.max(j.saturating_sub(self.band));
-                let mut sum = *self.at(i, j);
-                for k in start..j {
-                    sum -= *self.at(i, k) * *self.at(j, k);
-                }
-                if i == j {
-                    if sum <= 0.0 || !sum.is_finite() {
-                        return None;
-                    }
-                    *self.at(i, i) = sum.sqrt();
-                } else {
-                    *self.at(i, j) = sum / *self.at(j, j);
-                }
-            }
-        }
-        for i in 0..self.size {
-            let mut sum = right[i];
-            for k in i.saturating_sub(self.band)..i {
-                sum -= *self.at(i, k) * right[k];
-            }
-            right[i] = sum / *self.at(i, i);
-        }
-        for i in (0..self.size).rev() {
-            let mut sum = right[i];
-            for k in i + 1..self.size.min(i + self.band + 1) {
-                sum -= *self.at(k, i) * right[k];
-            }
-            right[i] = sum / *self.at(i, i);
-        }
-        Some(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-
-    #[test]
-    fn complement_is_orthonormal_and_orthogonal() {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-        let matrix = DMatrix::from_fn(11, 7, |_, _| rng.random_range(-1.0..1.0));
-        let basis = complement(&matrix);
-        assert_eq!(basis.ncols(), 4);
-        assert!((basis.tr_mul(&basis) - DMatrix::identity(4, 4)).amax() < 1e-12);
-        assert!(matrix.tr_mul(&basis).amax() < 1e-12);
-    }
-
-    #[test]
-    fn banded_solver_agrees_with_a_dense_one() {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(6);
-        let (n, band) = (20, 4);
-        let mut dense = DMatrix::zeros(n, n);
-        let mut banded = Banded::new(n, band);
-        for i in 0..n {
-            for j in i.saturating_sub(band)..=i {
-                let value = if i == j { 10.0 } else { rng.random_range(-1.0..1.0) };
-                (dense[(i, j)], dense[(j, i)]) = (value, value);
-                *banded.at(i, j) = value;
-            }
-        }
-        let right = DVector::from_fn(n, |_, _| rng.random_range(-1.0..1.0));
-        let mut ours = right.clone();
-        banded.solve(&mut ours).unwrap();
-        let theirs = dense.lu().solve(&right).unwrap();
-        assert!((ours - theirs).amax() < 1e-12);
-    }
 }

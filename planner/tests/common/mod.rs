@@ -7,7 +7,7 @@ use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::task::{ManipulatedObject, Task};
 use akrobat_model::trajectory::Grasp;
 use akrobat_model::{KinematicTree, Pose, Robot, fixtures, pose, urdf};
-use akrobat_planner::kinematics::{Frame, rotation_log};
+use akrobat_planner::kinematics::{Frame, Kinematics, rotation_log};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -85,6 +85,12 @@ pub fn numbers(seed: u64) -> ChaCha8Rng {
 pub fn random_configuration(tree: &KinematicTree, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let limits = tree.dof_joints().iter().map(|&j| tree.joints()[j].limits);
     limits.map(|[low, high]| rng.random_range(low.max(-3.0)..=high.min(3.0))).collect()
+}
+
+/// A value of a variable within its limits, and within +-3.
+pub fn number_within(kinematics: &Kinematics, variable: usize, rng: &mut ChaCha8Rng) -> f64 {
+    let (low, high) = (kinematics.lower()[variable], kinematics.upper()[variable]);
+    rng.random_range(low.max(-3.0)..=high.min(3.0))
 }
 
 /// A pose within a metre of the origin.
