@@ -16,7 +16,7 @@ use crate::spheres::{Closeness, SphereModel, fit_closely};
 pub enum Reason {
     /// The spheres touch in nearly all configurations.
     Always,
-    /// Spheres touch, but finer ones never do: the links themselves stay apart.
+    /// Spheres touch, but finer ones inside the links never do: the links themselves stay apart.
     SpheresOnly,
 }
 
@@ -43,7 +43,7 @@ const FINE: Closeness = Closeness { protrusion_m: 0.004, most_per_link: 160, cov
 /// The pairs that `spheres` make touch although they need not be compared, besides those that the
 /// planner leaves out on its own (adjacent links). The same seed gives the same pairs.
 pub fn derive(robot: &Robot, spheres: &SphereModel, seed: u64) -> Vec<MaskedPair> {
-    let fine = Bounded::of_robot(robot, &fit_closely(&robot.tree, FINE));
+    let fine = Bounded::of_robot(robot, &within_surfaces(fit_closely(&robot.tree, FINE)));
     let coarse = Bounded::of_robot(robot, spheres);
     let pairs = collision::comparable_pairs(robot, spheres);
     let configurations = configurations(robot, SAMPLES, seed);
@@ -72,6 +72,15 @@ pub fn derive(robot: &Robot, spheres: &SphereModel, seed: u64) -> Vec<MaskedPair
         Some(MaskedPair { links, reason, touching, touching_closely })
     };
     pairs.iter().enumerate().filter_map(masked).collect()
+}
+
+/// Spheres made smaller by what they reach beyond the links' surfaces: links that pass one another closely do not make
+/// them touch. Small ones keep a quarter of their radius.
+fn within_surfaces(mut model: SphereModel) -> SphereModel {
+    for sphere in &mut model.spheres {
+        sphere.radius = (sphere.radius - FINE.protrusion_m).max(sphere.radius / 4.0);
+    }
+    model
 }
 
 /// Random configurations: the arm anywhere, the fingers anywhere, all else at rest.

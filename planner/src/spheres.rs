@@ -102,17 +102,22 @@ pub fn fit_closely(tree: &KinematicTree, closeness: Closeness) -> SphereModel {
     fit_with(tree, &|_| closeness)
 }
 
-/// Fits at most `most` spheres in all, as closely as that allows: larger links get larger ones. Links in
-/// `fine` (fingers) are fitted closely in any case, since grasps are planned to the millimetre. Every link
-/// keeps one sphere at least, so a tree of very many links can exceed `most`.
-pub fn fit_within(tree: &KinematicTree, most: usize, fine: &[usize]) -> SphereModel {
+/// Fits at most `most` spheres in all, as closely as that allows: thicker links get larger ones. Links in `arm` are
+/// fitted three times as closely as others: they fold up beside one another, and spheres that reach far beyond them
+/// would touch wherever they go. Links in `fine` (fingers) are fitted closely in any case, since grasps are planned
+/// to the millimetre. Every link keeps one sphere at least, so a tree of very many links can exceed `most`.
+pub fn fit_within(tree: &KinematicTree, most: usize, arm: &[usize], fine: &[usize]) -> SphereModel {
     let surfaces = LinkSurface::of_tree(tree);
     let fitted = |looseness: f64| {
         cover_all(&surfaces, &|surface| {
             if fine.contains(&surface.index) {
                 return Closeness { protrusion_m: 0.006, most_per_link: 8, coverage: 0.95 };
             }
-            let protrusion_m = (looseness * surface.extent.norm()).clamp(0.008, 0.07);
+            // The middle edge of its box: how thick a slender link is, and how wide a flat one.
+            let [a, b, c] = surface.extent.into();
+            let thickness = a.max(b).min(a.max(c)).min(b.max(c));
+            let share = if arm.contains(&surface.index) { 0.5 } else { 1.5 };
+            let protrusion_m = (share * looseness * thickness).clamp(0.008, 0.07);
             Closeness { protrusion_m, most_per_link: 64, coverage: 0.97 }
         })
     };

@@ -87,7 +87,11 @@ pub fn import_robot(
         let robot_path = folder.join(ROBOT_FILE);
         let mut robot = load::robot(&robot_path, &AssetSearch::default())?;
         stage("fitting spheres");
-        let model = spheres::fit_within(&robot.tree, request.spheres, &robot.finger_links);
+        let moves = |&link: &usize| {
+            robot.tree.chain_to(link).iter().any(|joint| robot.arm_joints.contains(joint))
+        };
+        let arm: Vec<usize> = (0..robot.tree.links().len()).filter(moves).collect();
+        let model = spheres::fit_within(&robot.tree, request.spheres, &arm, &robot.finger_links);
         stage("sampling self-collisions");
         let masked = mask::derive(&robot, &model, request.seed);
         robot.file.self_collision_ignore = masked.iter().map(|pair| pair.links.clone()).collect();

@@ -17,10 +17,13 @@ pub enum Carrier {
     Box([f64; 3]),
 }
 
+/// The link of a box that arms are bolted on.
+const BOX_TOP: &str = "box_top";
+
 /// Where one arm stands on its carrier.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mount {
-    /// Link of the carrier; its root where absent.
+    /// Link of the carrier; its root where absent, the top of a box.
     pub link: Option<String>,
     /// Pose of the arm's root in that link.
     pub link_from_arm: Pose,
@@ -50,6 +53,7 @@ pub(super) fn mounted(
     for mount in mounts {
         let link = match &mount.link {
             Some(link) => tree.link_index(link)?,
+            None if matches!(carrier, Carrier::Box(_)) => tree.link_index(BOX_TOP)?,
             None => tree.root(),
         };
         let mut prefix = mount.prefix.clone();
@@ -83,7 +87,7 @@ fn prefixed(tree: &KinematicTree, prefix: &str) -> Result<KinematicTree, ModelEr
     KinematicTree::new(tree.name.clone(), links.collect(), joints.collect())
 }
 
-/// A box that stands on the floor; its root frame lies in the middle of its top, where arms are bolted on.
+/// A box that stands on the floor: its root lies there, and its top is a link.
 fn box_base(size: [f64; 3]) -> Result<KinematicTree, ModelError> {
     if !size.iter().all(|s| s.is_finite() && *s > 0.0) {
         let message = format!("expected three lengths above 0, got {size:?}");
@@ -101,7 +105,7 @@ fn box_base(size: [f64; 3]) -> Result<KinematicTree, ModelError> {
         material: Some(material),
     };
     let top = Link {
-        name: "box_top".into(),
+        name: BOX_TOP.into(),
         visuals: vec![part.clone()],
         collisions: vec![part],
         inertial: None,
