@@ -69,7 +69,7 @@ struct ObjectArgs {
     /// Seed of everything that is not given.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Draw it as well, closed and opened: object.png.
+    /// Draw it as well, closed, opened and with its grasps: object.png.
     #[arg(long)]
     picture: bool,
     /// Robot file of the task; the built-in robot's where absent.

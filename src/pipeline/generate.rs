@@ -92,7 +92,7 @@ fn write_object(
         .map_err(|e| Error::write(&task, &e))
 }
 
-/// The object closed and, where it opens, opened to its first goal.
+/// The object closed, opened to its first goal where it opens, and with its grasps.
 fn write_picture(folder: &Path, object: &GeneratedObject) -> Result<(), Error> {
     let path = folder.join(format!("{}.urdf", object.description.name));
     let tree = urdf::load(&path, &AssetSearch::default(), &mut MeshCache::default())?.tree;
@@ -105,6 +105,8 @@ fn write_picture(folder: &Path, object: &GeneratedObject) -> Result<(), Error> {
         }
         pictures.push(overview::object_picture(&tree, &opened)?);
     }
+    let handle = tree.link_index(&object.handle_link)?;
+    pictures.push(overview::grasps_picture(&tree, handle, &object.grasps)?);
     let path = folder.join("object.png");
     overview::sheet(&pictures, pictures.len())
         .save(&path)

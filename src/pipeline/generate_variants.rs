@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use akrobat_assets::import::variant::Base;
+use akrobat_model::Pose;
 use akrobat_model::events::Event;
 use akrobat_model::hash;
 use akrobat_model::load::AssetSearch;
@@ -125,5 +126,10 @@ fn write_set(
 
 fn picture(folder: &Path) -> Result<image::RgbImage, Error> {
     let (tree, _) = urdf::read(&folder.join("scene.urdf"), &AssetSearch::default())?;
-    overview::room_picture(&tree)
+    let poses = tree.link_poses(&Pose::identity(), &tree.neutral());
+    let bodies = tree.links().iter().zip(poses).map(|(link, pose)| {
+        let parts = if link.visuals.is_empty() { &link.collisions } else { &link.visuals };
+        (link.name.clone(), pose, parts.clone())
+    });
+    overview::room_picture(bodies)
 }

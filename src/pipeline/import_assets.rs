@@ -13,7 +13,7 @@ use akrobat_model::urdf;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Context;
+use super::{Context, import_task, overview};
 use crate::Error;
 
 /// What is to be imported, and how.
@@ -66,6 +66,10 @@ pub struct ImportAssetRequest {
     pub output: PathBuf,
     /// Folders where assets are looked up.
     pub assets: Vec<PathBuf>,
+    /// Robot file of the tasks that are written beside it; the built-in robot where absent.
+    pub robot: Option<PathBuf>,
+    /// Draw it as well: `scene.png`, or `object.png`.
+    pub picture: bool,
 }
 
 /// What an import gave.
@@ -75,6 +79,8 @@ pub struct ImportAssetReport {
     pub output: PathBuf,
     /// The URDF in it that tasks name.
     pub urdf: PathBuf,
+    /// Tasks with what has joints.
+    pub tasks: Vec<PathBuf>,
     /// The manifest's content.
     pub manifest: Value,
     /// What was repaired.
@@ -101,25 +107,66 @@ pub fn import_asset(
     if let Imported::Scene(scene) = &mut imported {
         floor::split_floor(scene);
     }
-    let (manifest, file, ledger) = match imported {
+    let (folder, robot) = (&request.output, request.robot.as_deref());
+    let (manifest, file, tasks, ledger) = match imported {
         Imported::Object(object) => {
-            let manifest = layout::write_object(&request.output, &object)?;
-            (manifest, format!("{}.urdf", object.name), object.ledger)
+            let manifest = layout::write_object(folder, &object)?;
+            let task = import_task::for_object(folder, &object, robot)?;
+            let tasks = task.into_iter().collect();
+            if request.picture {
+                let closed = object.tree.neutral();
+                save(
+                    &folder.join("object.png"),
+                    &overview::object_picture(&object.tree, &closed)?,
+                )?;
+            }
+            (manifest, format!("{}.urdf", object.name), tasks, object.ledger)
         }
         Imported::Scene(scene) => {
-            let manifest = layout::write_scene(&request.output, &scene)?;
+            let manifest = layout::write_scene(folder, &scene)?;
+            let tasks = import_task::for_scene(folder, &scene, robot)?;
+            if request.picture {
+                save(&folder.join("scene.png"), &scene_picture(&scene)?)?;
+            }
             let mut ledger = scene.ledger;
             scene.objects.into_iter().for_each(|placed| ledger.extend(placed.object.ledger));
-            (manifest, "scene.urdf".into(), ledger)
+            (manifest, "scene.urdf".into(), tasks, ledger)
         }
     };
     Ok(ImportAssetReport {
         urdf: request.output.join(file),
         output: request.output.clone(),
+        tasks,
         manifest,
         repairs: ledger.repairs,
         lost: ledger.lost,
     })
+}
+
+fn save(path: &Path, picture: &image::RgbImage) -> Result<(), Error> {
+    picture.save(path).map_err(|e| Error::Failed(format!("{}: cannot write: {e}", path.display())))
+}
+
+/// What stands still and, closed, what opens.
+fn scene_picture(scene: &ImportedScene) -> Result<image::RgbImage, Error> {
+    let bodies = scene.bodies.iter().map(|body| {
+        let parts = if body.visuals.is_empty() { &body.collisions } else { &body.visuals };
+        (body.name.clone(), body.world_from_body, parts.clone())
+    });
+    let links = scene.objects.iter().flat_map(|placed| {
+        let tree = &placed.object.tree;
+        let poses = tree.link_poses(&placed.world_from_root, &tree.neutral());
+        let parts = tree.links().iter().map(|link| {
+            if link.visuals.is_empty() { link.collisions.clone() } else { link.visuals.clone() }
+        });
+        let names = tree.links().iter().map(|link| format!("{}/{}", placed.object.name, link.name));
+        names
+            .zip(poses)
+            .zip(parts)
+            .map(|((name, pose), parts)| (name, pose, parts))
+            .collect::<Vec<_>>()
+    });
+    overview::room_picture(bodies.chain(links))
 }
 
 fn read(input: &Path, source: &AssetSource, search: &AssetSearch) -> Result<Imported, Error> {
@@ -183,6 +230,9 @@ impl ImportAssetReport {
             }
         };
         let mut lines = vec![format!("{}: {kind} of {what}", self.urdf.display())];
+        lines.extend(self.tasks.first().map(|task| {
+            format!("plan with it: akrobat plan {} -o trajectories.h5", task.display())
+        }));
         lines.extend(self.repairs.iter().map(|repair| format!("  repaired {repair}")));
         lines.extend(self.lost.iter().map(|lost| format!("  lost     {lost}")));
         lines.join("\n")

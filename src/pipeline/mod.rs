@@ -11,6 +11,7 @@ mod generate_variants;
 mod import;
 mod import_assets;
 mod import_robot;
+mod import_task;
 mod judge;
 mod overview;
 mod plan;

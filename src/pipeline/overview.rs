@@ -6,7 +6,7 @@ use std::sync::Arc;
 use akrobat_assets::import::floor;
 use akrobat_cameras::Intrinsics;
 use akrobat_model::mesh_io::gltf;
-use akrobat_model::{KinematicTree, Link, Part, Phase, Pose, TriMesh};
+use akrobat_model::{KinematicTree, Link, Material, Part, Phase, Pose, Shape, TriMesh};
 use akrobat_renderer::scene::UnnumberedBody;
 use akrobat_renderer::{Backend, BodyGroup, FrameState, PlacedCamera, RenderScene, SoftBackend};
 use image::{RgbImage, imageops};
@@ -37,15 +37,15 @@ pub fn scene_picture(glb: &Path) -> Result<RgbImage, Error> {
 }
 
 /// An imported scene from above; ceilings, roofs and walls are cut away.
-pub fn room_picture(tree: &KinematicTree) -> Result<RgbImage, Error> {
-    let poses = tree.link_poses(&Pose::identity(), &tree.neutral());
-    let body = |(link, pose): (&Link, Pose)| {
-        let parts = if link.visuals.is_empty() { &link.collisions } else { &link.visuals };
+pub fn room_picture(
+    bodies: impl Iterator<Item = (String, Pose, Vec<Part>)>,
+) -> Result<RgbImage, Error> {
+    let body = |(name, pose, parts): (String, Pose, Vec<Part>)| {
         let meshes = parts.iter().flat_map(Part::triangulate).map(|mesh| cut(mesh, &pose));
         let meshes: Vec<_> = meshes.filter(|m| !m.triangles.is_empty()).map(Arc::new).collect();
-        (link.name.clone(), pose, meshes)
+        (name, pose, meshes)
     };
-    let bodies = tree.links().iter().zip(poses).map(body);
+    let bodies = bodies.map(body);
     draw(
         bodies.filter(|(_, _, meshes)| !meshes.is_empty()).collect(),
         Vector3::new(0.45, -0.6, 1.3),
@@ -63,19 +63,58 @@ fn cut(mesh: TriMesh, world_from_mesh: &Pose) -> TriMesh {
     floor::with_triangles(&mesh, &kept)
 }
 
+/// A gripper's outline with its tool frame's origin between the pads, z along the approach, y along the closing
+/// direction: two fingers, a palm and a wrist, as boxes of size and middle, metres.
+const GRIPPER: [[[f64; 3]; 2]; 4] = [
+    [[0.008, 0.006, 0.05], [0.0, 0.043, -0.015]],
+    [[0.008, 0.006, 0.05], [0.0, -0.043, -0.015]],
+    [[0.008, 0.092, 0.008], [0.0, 0.0, -0.044]],
+    [[0.008, 0.008, 0.05], [0.0, 0.0, -0.073]],
+];
+
+/// An object from its front with a gripper at every grasp, closed; the best ones greenest.
+pub fn grasps_picture(
+    tree: &KinematicTree,
+    handle_link: usize,
+    grasps: &[Pose],
+) -> Result<RgbImage, Error> {
+    let q = tree.neutral();
+    let poses = tree.link_poses(&Pose::identity(), &q);
+    let mut bodies = object_bodies(tree, &poses);
+    for (index, link_from_tool) in grasps.iter().enumerate() {
+        let share = index as f32 / grasps.len().max(1) as f32;
+        let material = Material {
+            base_color: [0.1 + 0.8 * share, 0.75 - 0.5 * share, 0.2, 1.0],
+            ..Material::default()
+        };
+        let shapes = GRIPPER.iter().flat_map(|[size, [x, y, z]]| {
+            let part = Part {
+                name: "gripper".into(),
+                link_from_part: Pose::translation(*x, *y, *z),
+                shape: Shape::Box { size: *size },
+                material: Some(material.clone()),
+            };
+            part.triangulate()
+        });
+        let meshes = shapes.map(Arc::new).collect();
+        bodies.push((format!("grasp_{index}"), poses[handle_link] * link_from_tool, meshes));
+    }
+    draw(bodies, Vector3::new(1.0, -0.75, 0.55))
+}
+
 /// An object from its front, its joints at a configuration.
 pub fn object_picture(tree: &KinematicTree, q: &[f64]) -> Result<RgbImage, Error> {
     let poses = tree.link_poses(&Pose::identity(), q);
-    let bodies = tree
-        .links()
-        .iter()
-        .zip(poses)
-        .map(|(link, pose)| {
-            let meshes = link.visuals.iter().flat_map(|part| part.triangulate());
-            (link.name.clone(), pose, meshes.map(Arc::new).collect())
-        })
-        .collect();
-    draw(bodies, Vector3::new(1.0, -0.75, 0.55))
+    draw(object_bodies(tree, &poses), Vector3::new(1.0, -0.75, 0.55))
+}
+
+fn object_bodies(tree: &KinematicTree, poses: &[Pose]) -> Vec<(String, Pose, Vec<Arc<TriMesh>>)> {
+    let body = |(link, pose): (&Link, &Pose)| {
+        let parts = if link.visuals.is_empty() { &link.collisions } else { &link.visuals };
+        let meshes = parts.iter().flat_map(Part::triangulate);
+        (link.name.clone(), *pose, meshes.map(Arc::new).collect())
+    };
+    tree.links().iter().zip(poses).map(body).collect()
 }
 
 /// Bodies by name, with poses and meshes, seen from a direction at the distance that holds all of them.

@@ -22,6 +22,12 @@ struct Paths {
     /// Folder where meshes and packages are looked up; may be repeated.
     #[arg(long, value_name = "DIR")]
     assets: Vec<PathBuf>,
+    /// Robot file of the tasks that are written beside what opens (task.toml, tasks/); the built-in robot where absent.
+    #[arg(long, value_name = "FILE")]
+    robot: Option<PathBuf>,
+    /// Draw it as well: object.png, or scene.png.
+    #[arg(long)]
+    picture: bool,
 }
 
 /// Object or surroundings.
@@ -224,6 +230,8 @@ fn run(paths: &Paths, source: AssetSource, context: &Context<'_>) -> Result<Repo
         source,
         output: paths.output.clone(),
         assets: paths.assets.clone(),
+        robot: paths.robot.clone(),
+        picture: paths.picture,
     };
     let report = pipeline::import_asset(&request, context)?;
     Ok(Report {
