@@ -9,7 +9,7 @@ use akrobat_packager::import::Recordings;
 use akrobat_renderer::{Backend, RenderError};
 
 use crate::Error;
-use crate::pipeline::{EvalJob, ReplayJob};
+use crate::pipeline::{EvalJob, ReplayJob, ViewJob};
 
 /// Work that needs Python. The pure binary has no host and says which command to run instead.
 ///
@@ -68,4 +68,10 @@ pub trait Host: Sync {
     /// # Errors
     /// [`Error::Usage`] where the file is not of that kind.
     fn read_traj_data(&self, file: &Path) -> Result<Recordings, Error>;
+
+    /// Shows a trajectory or an episode with Rerun. Returns the names of the cameras with images.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where Rerun is not installed, with what to install.
+    fn view(&self, job: &ViewJob<'_>) -> Result<Vec<String>, Error>;
 }

@@ -82,6 +82,11 @@ class Episode(Mapping[str, NDArray[Any]]):
         """The episode's attributes as the file has them."""
         return dict(self._open().attrs)
 
+    def array_attributes(self, name: str) -> dict[str, Any]:
+        """What the file says of one array: its unit, frame, names of columns, where it does."""
+        item = self._dataset(name)
+        return dict(item.attrs) if isinstance(item, h5py.Dataset) else {}
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         return np.asarray(self._dataset(name)[()])
 

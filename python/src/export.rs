@@ -231,7 +231,7 @@ fn array<'py, T: Element>(
 }
 
 /// A missing library and a wrong request are the user's to mend.
-fn usage_error(error: PyErr) -> Error {
+pub fn usage_error(error: PyErr) -> Error {
     Python::attach(|py| {
         let message = error.value(py).to_string();
         if error.is_instance_of::<PyImportError>(py)

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use akrobat::pipeline::{EvalJob, ReplayJob};
+use akrobat::pipeline::{EvalJob, ReplayJob, ViewJob};
 use akrobat::{Error, Host};
 use akrobat_model::TrajectorySet;
 use akrobat_packager::audit_file::EpisodeAudit;
@@ -62,5 +62,9 @@ impl Host for PythonHost {
 
     fn read_traj_data(&self, file: &Path) -> Result<Recordings, Error> {
         crate::export::read_traj_data(file)
+    }
+
+    fn view(&self, job: &ViewJob<'_>) -> Result<Vec<String>, Error> {
+        crate::viewer::view(job)
     }
 }

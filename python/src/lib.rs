@@ -12,6 +12,7 @@ mod physics;
 mod sapien;
 mod task;
 mod trajectories;
+mod viewer;
 
 use pyo3::prelude::*;
 

@@ -18,6 +18,7 @@ mod run;
 mod schema;
 mod split;
 mod validate;
+mod view;
 mod workers;
 
 use std::ffi::OsString;
@@ -63,6 +64,7 @@ enum Command {
     Run(run::RunArgs),
     Inspect(inspect::InspectArgs),
     Validate(validate::ValidateArgs),
+    View(view::ViewArgs),
     Merge(merge::MergeArgs),
     Split(split::SplitArgs),
     Filter(filter::FilterArgs),
@@ -128,6 +130,7 @@ fn dispatch(command: &Command, context: &Context<'_>) -> Result<Report, Error> {
         Command::Import(args) => import::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Validate(args) => validate::run(args, context),
+        Command::View(args) => view::run(args, context),
         Command::Merge(args) => merge::run(args),
         Command::Split(args) => split::run(args),
         Command::Filter(args) => filter::run(args),

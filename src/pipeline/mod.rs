@@ -26,6 +26,7 @@ mod sample;
 mod share;
 mod simulated;
 mod survey;
+mod view;
 
 use std::path::{Path, PathBuf};
 
@@ -68,6 +69,7 @@ pub use replay::{
 pub use report::{ReportRequest, report};
 pub use run::{JobFile, RenderSettings, RunOutput, RunReport, RunRequest, Variants, run};
 pub use survey::{CameraSurvey, Survey, SurveyRequest, ViewSurvey, survey};
+pub use view::{ViewBody, ViewJob, ViewMesh, ViewReport, ViewRequest, ViewTable, view};
 
 /// Folders of assets, separated like those of `PATH`.
 pub const ASSET_PATH_VARIABLE: &str = "AKROBAT_ASSET_PATH";

@@ -249,7 +249,7 @@ impl Document {
 }
 
 /// The meshes, all thinned with the finest cell at which they fit.
-fn thinned_to(meshes: &[&Arc<TriMesh>], limit_bytes: usize) -> Vec<TriMesh> {
+pub fn thinned_to(meshes: &[&Arc<TriMesh>], limit_bytes: usize) -> Vec<TriMesh> {
     let mut thinned = Vec::new();
     for cell_m in CELLS_M {
         thinned = meshes.iter().map(|mesh| simplified(mesh, cell_m)).collect();
@@ -265,7 +265,7 @@ fn thinned_to(meshes: &[&Arc<TriMesh>], limit_bytes: usize) -> Vec<TriMesh> {
 }
 
 /// Linear RGBA of a material: its factor, times the mean of its texture.
-fn mean_color(material: &Material) -> [f32; 4] {
+pub fn mean_color(material: &Material) -> [f32; 4] {
     let Some(texture) = &material.base_color_texture else { return material.base_color };
     // A few thousand texels tell the mean.
     let step = (texture.pixels().len() / 4096).max(1) | 1;

@@ -13,6 +13,7 @@ pub mod drift;
 pub mod footprint;
 pub mod glb;
 mod index;
+pub mod near;
 mod page;
 pub mod picture;
 pub mod production_page;

@@ -1,33 +1,24 @@
 //! One trajectory rendered for the page.
 
-use std::sync::Arc;
-
 use akrobat_cameras::{Observation, SegmentLabel};
 use akrobat_model::events::Observer;
 use akrobat_model::task::Task;
-use akrobat_model::{Phase, Pose, Trajectory};
+use akrobat_model::{Phase, Trajectory};
 use akrobat_renderer::pointcloud::{CloudConfig, CloudPlace, fuse};
 use akrobat_renderer::replay::{FRAME_RATE_HZ, Replay};
 use akrobat_renderer::{
-    Backend, BodyGroup, Episode, EpisodeConfig, EpisodeRenderer, FrameState, RenderBody,
-    RenderScene,
+    Backend, BodyGroup, Episode, EpisodeConfig, EpisodeRenderer, FrameState, RenderScene,
 };
 use image::RgbImage;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
-use super::{ReportInput, ReportOptions, animation, cloud, glb, picture};
+use super::{ReportInput, ReportOptions, animation, cloud, glb, near, picture};
 use crate::Error;
 
 /// Frames per second of the animated picture.
 const GIF_RATE_HZ: f64 = 10.0;
 /// Pixels between the cameras' pictures.
 const GUTTER: u32 = 4;
-/// Distance from the robot's and the handle's way within which bodies of the scene go into the GLB, metres.
-const NEAR_M: f64 = 1.2;
-/// Triangles of the scene that go into the GLB, nearest bodies first.
-const SCENE_TRIANGLES: usize = 120_000;
-/// Classes of bodies that would hide everything else from a viewer outside.
-const ENCLOSURES: [&str; 3] = ["wall", "ceiling", "exterior"];
 /// Share of the depths of a camera that are nearer than the dark end of its colours.
 const DEPTH_SHARE: f64 = 0.97;
 
@@ -219,7 +210,7 @@ pub(super) fn model(
     let times_s = trajectory.frame_times(FRAME_RATE_HZ, false);
     let states: Vec<FrameState> =
         times_s.iter().map(|&time_s| replay.at_time(trajectory, 0, time_s)).collect();
-    let near = near_bodies(scene, &states);
+    let near = near::bodies(scene, &states, near::GLB_TRIANGLES);
     let bodies: Vec<glb::Body> = scene
         .bodies
         .iter()
@@ -235,54 +226,4 @@ pub(super) fn model(
         })
         .collect();
     glb::encode(&bodies, &times_s, mesh_bytes)
-}
-
-/// Places of the scene's bodies near the way of tool and base, nearest first, as far as their triangles
-/// are not too many.
-fn near_bodies(scene: &RenderScene, states: &[FrameState]) -> Vec<usize> {
-    let way: Vec<Point3<f64>> = states
-        .iter()
-        .step_by(5)
-        .flat_map(|state| [state.world_from_tool, state.world_from_base])
-        .map(|pose| pose.translation.vector.into())
-        .collect();
-    let mut ranked: Vec<(f64, usize)> = scene
-        .bodies
-        .iter()
-        .enumerate()
-        .filter(|(_, body)| body.group == BodyGroup::Scene && !encloses(body))
-        .map(|(place, body)| (distance(body, &states[0].world_from_body[place], &way), place))
-        .filter(|(distance_m, _)| *distance_m <= NEAR_M)
-        .collect();
-    ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut left = SCENE_TRIANGLES;
-    let mut near = Vec::new();
-    for (_, place) in ranked {
-        let triangles: usize = scene.bodies[place].meshes.iter().map(|m| m.triangles.len()).sum();
-        if triangles <= left {
-            left -= triangles;
-            near.push(place);
-        }
-    }
-    near
-}
-
-fn encloses(body: &RenderBody) -> bool {
-    let class = body.class.to_lowercase();
-    ENCLOSURES.iter().any(|enclosure| class.contains(enclosure))
-}
-
-/// Least distance of the way from the body's box in its own frame, metres.
-fn distance(body: &RenderBody, world_from_body: &Pose, way: &[Point3<f64>]) -> f64 {
-    let bounds: Vec<_> =
-        body.meshes.iter().map(Arc::as_ref).filter_map(akrobat_model::TriMesh::bounds).collect();
-    let to_box = |point: &Point3<f64>, (low, high): &([f32; 3], [f32; 3])| {
-        let beyond =
-            |i: usize| (f64::from(low[i]) - point[i]).max(point[i] - f64::from(high[i])).max(0.0);
-        Vector3::new(beyond(0), beyond(1), beyond(2)).norm()
-    };
-    way.iter()
-        .map(|point| world_from_body.inverse_transform_point(point))
-        .flat_map(|point| bounds.iter().map(move |bounds| to_box(&point, bounds)))
-        .fold(f64::INFINITY, f64::min)
 }

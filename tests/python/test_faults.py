@@ -93,6 +93,12 @@ def check_whole_shards(folder: Path, reference: Contents) -> None:
             assert path.read_bytes() == reference[f"shards/{path.name}"], path.name
 
 
+def check_whole(folder: Path) -> None:
+    program = [sys.executable, "-m", "akrobat", "--json", "validate", str(folder)]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
 def test_killed_at_random_instants(
     job: Job, container: str, whole: tuple[Contents, float], tmp_path: Path
 ) -> None:
@@ -112,7 +118,7 @@ def test_killed_at_random_instants(
         done = job.run(folder, "--format", container, "--resume")
         assert done.returncode == 0, done.stderr
         assert contents(folder) == reference
-        assert akrobat.open(folder) is not None
+        check_whole(folder)
         shutil.rmtree(folder)
     assert cut_short > KILLS // 8, "most runs ended before they were killed"
 
@@ -182,9 +188,9 @@ def test_killed_ray_workers_are_replaced(
     folder, (reference, _) = tmp_path / "dataset", whole
     arguments = [*job.arguments, "-o", str(folder), "--format", container]
     program = [sys.executable, "-m", "akrobat.ray_jobs", *arguments]
-    log = tmp_path / "log"
-    with log.open("w") as stream:
-        process = subprocess.Popen(program, stdout=stream, stderr=stream)
+    report, log = tmp_path / "report.json", tmp_path / "log"
+    with report.open("w") as stdout, log.open("w") as stderr:
+        process = subprocess.Popen(program, stdout=stdout, stderr=stderr)
         killed: set[int] = set()
         while process.poll() is None:
             for worker in shards_being_made(folder):
@@ -194,5 +200,5 @@ def test_killed_ray_workers_are_replaced(
             time.sleep(0.05)
     assert process.returncode == 0, log.read_text()
     assert len(killed) == 3
-    assert json.loads(log.read_text()[log.read_text().index("{") :])["episodes"] == EPISODES
+    assert json.loads(report.read_text())["episodes"] == EPISODES
     assert contents(folder) == reference

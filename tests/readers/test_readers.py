@@ -235,6 +235,23 @@ def place_of(number, lengths):
     raise IndexError(number)
 
 
+def test_the_page_on_loading_with_pytorch(robot, native, monkeypatch, tmp_path):
+    """The block of `docs/loading.md` that `make test` has no PyTorch for."""
+    (tmp_path / "dataset").symlink_to(EXPORTS / f"{robot}_dataset")
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[2] / "docs" / "loading.md").read_text()
+    code = page.split("```python\n")[2].split("```")[0].replace("num_workers=2", "num_workers=0")
+    names = {}
+    exec(code, names)
+    frames, batch = names["frames"], names["batch"]
+    assert len(frames) == sum(demo.attrs["num_samples"] for demo in native)
+    assert batch["image"].shape[:2] == (8, 3)
+    sample = frames[len(native[0]["actions"]) + 3]
+    assert np.array_equal(sample["action"], native[1]["actions"][3])
+    color = sample["image"].permute(1, 2, 0).numpy() * 255
+    assert np.abs(color - native[1]["camera_obs/fixed_rgb"][3]).max() < 0.01
+
+
 def test_torch_loads_traj_data(robot):
     payload = torch.load(EXPORTS / f"{robot}_traj_data" / "traj_data.pt", weights_only=True)
     with h5py.File(EXPORTS / f"{robot}.h5") as file:
