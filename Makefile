@@ -37,7 +37,7 @@ test: build
 	    AKROBAT_SAMPLE_DATASET=$(CURDIR)/target/release/examples/sample_dataset pytest $(PYTEST_FLAGS)
 
 # A hundred runs killed at random instants, full and read-only disks, killed Ray workers: every dataset is the one that
-# an undisturbed run writes. Some 4 minutes.
+# an undisturbed run writes. Some 4 minutes of two idle cores.
 test-faults: build
 	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[ray,test]"
 	pytest -m slow tests/python/test_faults.py

@@ -13,8 +13,7 @@ from typing import Any
 import akrobat
 import numpy as np
 import pytest
-
-rerun_chunk = pytest.importorskip("rerun.chunk")
+from rerun.chunk import RrdReader
 
 EVERY = 40
 
@@ -31,7 +30,7 @@ class Recording:
 
     def __init__(self, file: Path) -> None:
         self.columns: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
-        for chunk in rerun_chunk.RrdReader(file).stream().to_chunks():
+        for chunk in RrdReader(file).stream().to_chunks():
             batch = chunk.to_record_batch()
             for name in batch.schema.names:
                 if ":" in name:
