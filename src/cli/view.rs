@@ -32,7 +32,8 @@ pub struct ViewArgs {
     /// Show one of N images and clouds.
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
-    /// Folder where assets are looked up, as for `akrobat plan`; may be repeated.
+    /// Folder where assets are looked up, as for `akrobat plan`; may be repeated. Of a dataset, name the folder of the
+    /// task's file, too.
     #[arg(long, value_name = "DIR")]
     assets: Vec<PathBuf>,
 }

@@ -187,7 +187,9 @@ fn of_dataset<'a>(request: &'a ViewRequest, context: &Context<'_>) -> Result<Vie
     let bodies = match moved_bodies(&episode, &times_s, &tables, request, context) {
         Ok(bodies) => bodies,
         Err(Error::Input(missing)) => {
-            let message = format!("robot, object and scene are not shown: {missing}; see --assets");
+            let message = format!(
+                "robot, object and scene are not shown: {missing}; --assets tells where the task and its files are"
+            );
             context.observer.event(&Event::Warning { message: &message });
             Vec::new()
         }
