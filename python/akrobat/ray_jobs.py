@@ -11,6 +11,7 @@ Needs `pip install 'akrobat[ray]'`.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -61,9 +62,19 @@ def _akrobat(arguments: Sequence[str]) -> dict[str, Any]:
     raise (InputError if done.returncode == 2 else RunError)(message)
 
 
+def _shut_down() -> None:
+    import ray
+
+    ray.shutdown()
+
+
 def main() -> int:
     """Runs the command line of this module."""
-    print(json.dumps(render(sys.argv[1:]), indent=1))
+    # Ray tells of workers that died on stdout, where the report alone belongs.
+    with contextlib.redirect_stdout(sys.stderr):
+        report = render(sys.argv[1:])
+        _shut_down()
+    print(json.dumps(report, indent=1))
     return 0
 
 
