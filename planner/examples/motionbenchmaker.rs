@@ -1,6 +1,6 @@
 //! Plans the MotionBenchMaker problems of a fixed-base arm and prints one JSON object.
 //!
-//!     motionbenchmaker PROBLEMS URDF ASSETS [--protrusion-mm 2.5] [--margin-mm 0.5] [--rounds 1] [--seed 0] [--set NAME] …
+//!     motionbenchmaker PROBLEMS URDF ASSETS [--protrusion-mm 2.5] [--margin-mm 0.2] [--rounds 1] [--seed 0] [--set NAME] …
 //!
 //! PROBLEMS is the folder with one folder for each set of `scene*.yaml` and `request*.yaml` (MoveIt messages
 //! as YAML). Spheres are fitted to the URDF's collision meshes. What may touch is what the scene's
@@ -152,7 +152,7 @@ fn options(arguments: &[String]) -> Result<Options, Error> {
     let mut options = Options {
         closeness: Closeness { protrusion_m: 0.0025, most_per_link: 250, coverage: 0.995 },
         // Thin rims are covered to 98 % and more at best: this much room is left for what stands out.
-        margin_m: 5e-4,
+        margin_m: 2e-4,
         rounds: 1,
         seed: 0,
         set: None,
