@@ -263,6 +263,20 @@ def test_torch_loads_traj_data(robot):
     assert torch.equal(payload["start_robot"], payload["traj_robot"][:, 0])
 
 
+@pytest.mark.skipif("AKROBAT_DP3" not in os.environ, reason="AKROBAT_DP3 names no checkout of DP3")
+def test_dp3s_own_replay_buffer(robot, native):
+    """The class itself, from a checkout of the public 3D-Diffusion-Policy, which no index has."""
+    sys.path.insert(0, str(Path(os.environ["AKROBAT_DP3"]) / "3D-Diffusion-Policy"))
+    from diffusion_policy_3d.common.replay_buffer import ReplayBuffer
+
+    path = EXPORTS / f"{robot}_dp3" / "replay_buffer.zarr"
+    buffer = ReplayBuffer.copy_from_path(str(path), keys=["state", "action", "point_cloud"])
+    assert buffer.n_episodes == len(native)
+    assert np.array_equal(buffer["action"], np.concatenate([d["actions"][()] for d in native]))
+    clouds = np.concatenate([demo["point_cloud"][()] for demo in native])
+    assert np.array_equal(buffer["point_cloud"], clouds)
+
+
 @pytest.mark.parametrize("format", ["dp3", "diffusion-policy"])
 def test_replay_buffers_in_memory(robot, native, format):
     """As both `ReplayBuffer.copy_from_path` load a zarr: every array whole, cut at the ends."""
@@ -270,6 +284,11 @@ def test_replay_buffers_in_memory(robot, native, format):
     ends = root["meta"]["episode_ends"][:]
     data = {key: array[:] for key, array in root["data"].arrays()}
     assert ends[-1] == len(data["action"]) == len(data["state"])
+    # What the constructor of DP3's class asks for, and what it prints of each array.
+    assert set(data) == set(root["data"].keys())
+    assert all(len(array) == ends[-1] for array in data.values())
+    assert all(f"{array.min():.2f}~{array.max():.2f}" for array in data.values())
+    assert all(array.ndim for _, array in root["meta"].arrays())
     key, expected = ("point_cloud", "point_cloud")
     if format == "diffusion-policy":
         camera = cameras(native[0])[0]
