@@ -44,6 +44,10 @@ pub struct RobotSection {
     /// Where a fixed base stands: `[x y z qw qx qy qz]`.
     #[serde(default)]
     pub pose: Option<[f64; 7]>,
+    /// Position limits in this task of joints that are planned, `{ panda_joint1 = [-1.0, 1.0] }`: rad or m, within those of
+    /// the robot's own files. They keep an arm to one side, or to one of several ways of reaching a pose.
+    #[serde(default)]
+    pub limits: BTreeMap<String, [f64; 2]>,
 }
 
 /// The manipulated object of a task.

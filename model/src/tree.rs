@@ -224,6 +224,11 @@ impl KinematicTree {
         Self::new(self.name, links, joints)
     }
 
+    /// Replaces the position limits of a joint (rad, m).
+    pub(crate) fn set_limits(&mut self, joint: usize, limits: [f64; 2]) {
+        self.joints[joint].limits = limits;
+    }
+
     /// All links.
     pub fn links(&self) -> &[Link] {
         &self.links

@@ -372,6 +372,21 @@ fn placing() {
         "file = \"bot.toml\"\npose = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]",
         &["robot.pose", "fixed base"],
     );
+    for (limits, expected) in [
+        ("juggle = [0.0, 1.0]", ["unknown", "juggle"]),
+        ("grip = [0.0, 0.02]", ["unknown planned joint \"grip\"", "elbow"]),
+        ("elbow = [0.4, 1.5]", ["within [-1, 1]", "[0.4, 1.5]"]),
+        ("elbow = [0.6, 0.9]", ["rest position 0.5", "[0.6, 0.9]"]),
+        ("elbow = [0.9, 0.4]", ["elbow", "[0.9, 0.4]"]),
+    ] {
+        let robot = format!("file = \"bot.toml\"\nlimits = {{ {limits} }}");
+        bad_file(
+            "task.toml",
+            "file = \"bot.toml\"",
+            &robot,
+            &["robot.limits", expected[0], expected[1]],
+        );
+    }
 }
 
 #[test]

@@ -85,6 +85,19 @@ fn a_fixed_robot_stands_where_the_task_says() {
 }
 
 #[test]
+fn a_task_narrows_the_robots_limits() {
+    let files = Files::new();
+    let limits_of = |files: &Files, joint: &str| {
+        let tree = files.task().unwrap().robot.tree;
+        tree.joints()[tree.joint_index(joint).unwrap()].limits
+    };
+    assert_eq!(limits_of(&files, "elbow"), [-1.0, 1.0]);
+    files.edit("task.toml", "\"bot.toml\"", "\"bot.toml\"\nlimits = { elbow = [0.2, 0.9] }");
+    assert_eq!(limits_of(&files, "elbow"), [0.2, 0.9]);
+    assert_eq!(limits_of(&files, "lift"), [0.0, 0.5]);
+}
+
+#[test]
 fn packages_are_found_by_manifest_and_by_search_folder() {
     let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
     let urdf_text = r#"<robot name="r"><link name="l"><visual><geometry><mesh filename="package://my_pack/meshes/a.obj"/></geometry></visual></link></robot>"#;

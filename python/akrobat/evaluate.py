@@ -206,25 +206,42 @@ def make_policy(name: str, env: Any) -> Policy:
         return lambda _: env.action_space.sample()
     if name == "hold":
         return lambda _: np.array(env.targets)
+    policy: Policy = _of_module(name, env)
+    if not callable(policy):
+        raise InputError(f"policy {name}: what it made is no function: {policy!r}")
+    return policy
+
+
+def _of_module(name: str, env: Any) -> Any:
+    """`lerobot:FOLDER`, `dp3:module:attribute` or `module:attribute`."""
+    kind, separator, rest = name.partition(":")
+    if kind == "lerobot" and separator:
+        from akrobat.policy.lerobot import LeRobotPolicy
+
+        return LeRobotPolicy(Path(rest), env)
+    if kind == "dp3" and separator:
+        from akrobat.policy.dp3 import Dp3Policy
+
+        return Dp3Policy(_made(rest, env), env)
+    return _made(name, env)
+
+
+def _made(name: str, env: Any) -> Any:
+    """What `module:attribute` makes, called with the environment."""
     module_name, separator, attribute = name.partition(":")
     if not separator or not attribute:
         raise InputError(
             f'policy: unknown "{name}"; valid choices: replay, random, hold, module:attribute, '
-            "or the folder of a trained policy"
+            "lerobot:FOLDER, dp3:module:attribute, or the folder of a trained policy"
         )
     sys.path.insert(0, os.getcwd())
     try:
         maker = getattr(importlib.import_module(module_name), attribute)
-    except ImportError as error:
-        raise InputError(f"policy {name}: {error}") from error
-    except AttributeError as error:
+    except (ImportError, AttributeError) as error:
         raise InputError(f"policy {name}: {error}") from error
     finally:
         sys.path.remove(os.getcwd())
-    policy: Policy = maker(env)
-    if not callable(policy):
-        raise InputError(f"policy {name}: what it made is no function: {policy!r}")
-    return policy
+    return maker(env)
 
 
 def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -18,13 +18,19 @@ use crate::pipeline::{self, Context, EvalJob};
 ///   akrobat eval drawer.toml --trajectories drawer.h5 --policy replay -o out    what the plan itself scores
 ///   akrobat eval drawer.toml --policy random -o out                             what chance scores
 ///   akrobat eval drawer.toml --policy my_policy:make --rig paper -o out         your own: make(env) -> action(observation)
+///   akrobat eval drawer.toml --policy policy_50 --trajectories drawer.h5 -o out  what `python -m akrobat.policy train` wrote
+///   akrobat eval drawer.toml --policy lerobot:FOLDER --rig paper -o out         a checkpoint of LeRobot (ACT, Diffusion Policy)
+///   akrobat eval drawer.toml --policy dp3:my_policy:make --rig paper --cloud-points 1024 -o out
+///                                                                               a policy with the interface of DP3
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 pub struct EvalArgs {
     /// Task files (TOML); trials take turns.
     #[arg(required = true)]
     tasks: Vec<PathBuf>,
-    /// `replay`, `random`, `hold`, or `module:attribute`: called with the environment, it returns a function from observation to action.
+    /// `replay`, `random`, `hold`; `module:attribute`, which is called with the environment and returns a function from observation to
+    /// action; the folder of a policy that was trained here, whose cameras and cloud are then the default; `lerobot:FOLDER`, a
+    /// checkpoint of LeRobot; `dp3:module:attribute`, which returns a policy with the interface of DP3.
     #[arg(long)]
     policy: String,
     /// Folder to write: empty or new.

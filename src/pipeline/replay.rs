@@ -62,6 +62,9 @@ pub struct PhysicsConfig {
     pub handle_force_limit_n: f64,
     /// Least dry friction of calibrated joints, as a force at the handle, N.
     pub handle_force_floor_n: f64,
+    /// The robot stops for good where it is told to move faster than a joint's speed limit by more than 5%, as arms'
+    /// own controllers do. Otherwise the limits only hold the joints back.
+    pub protective_stop: bool,
     /// A trial: the fingers never close.
     pub keep_gripper_open: bool,
     /// A trial: the object stands this far from where it was planned, metres.
@@ -84,6 +87,7 @@ impl Default for PhysicsConfig {
             surface_friction: 0.5,
             handle_force_limit_n: 80.0,
             handle_force_floor_n: 1.0,
+            protective_stop: true,
             keep_gripper_open: false,
             object_offset_m: [0.0; 3],
         }

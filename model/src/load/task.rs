@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{AssetSearch, grasps, object, parse_toml_text, place, robot, scene};
+use super::{AssetSearch, grasps, joint_index, object, parse_toml_text, place, robot, scene};
 use crate::pose::from_xyz_wxyz;
 use crate::robot::BaseKind;
 use crate::task::{GraspFrame, ManipulatedObject, ObjectKind, Task, TaskFile};
@@ -21,6 +21,7 @@ pub fn from_text(text: String, path: &Path, search: &AssetSearch) -> Result<Task
 
     let mut loaded_robot = robot::load(&search.find(&file.robot.file, path)?, search)?;
     place_robot(path, &file, &mut loaded_robot.robot)?;
+    limit_robot(path, &file, &mut loaded_robot.robot)?;
     loaded_robot.add_hashes(&mut content_hashes)?;
 
     let mut loaded_scene = scene::load(path, &file.scene, search)?;
@@ -66,6 +67,31 @@ fn place_robot(path: &Path, file: &TaskFile, robot: &mut Robot) -> Result<(), Mo
     robot.world_from_root = from_xyz_wxyz(pose).ok_or_else(|| {
         ModelError::bad_value(place, format!("expected [x y z qw qx qy qz], got {pose:?}"))
     })?;
+    Ok(())
+}
+
+/// Narrows the limits of the robot's joints as the task says.
+fn limit_robot(path: &Path, file: &TaskFile, robot: &mut Robot) -> Result<(), ModelError> {
+    let place = place(path, "robot.limits");
+    for (name, &[low, high]) in &file.robot.limits {
+        let joint = joint_index(&place, &robot.tree, name)?;
+        if ![&robot.base_joints, &robot.arm_joints].iter().any(|group| group.contains(&joint)) {
+            let planned = [&robot.base_joints[..], &robot.arm_joints].concat();
+            let names = planned.iter().map(|&j| robot.tree.joints()[j].name.clone());
+            return Err(ModelError::unknown(&place, "planned joint", name, names));
+        }
+        let [least, most] = robot.tree.joints()[joint].limits;
+        let at_rest = robot.tree.column(joint).map_or(low, |column| robot.rest[column]);
+        let inside = least <= low && low < high && high <= most;
+        if !inside || !(low..=high).contains(&at_rest) {
+            let message = format!(
+                "{name}: expected [low, high] within [{least}, {most}] and around the rest position {at_rest}, \
+                 got [{low}, {high}]"
+            );
+            return Err(ModelError::bad_value(place, message));
+        }
+        robot.tree.set_limits(joint, [low, high]);
+    }
     Ok(())
 }
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from akrobat.physics import poses
 
 if TYPE_CHECKING:
+    from akrobat import _core
     from akrobat.physics.controller import Controller
     from akrobat.physics.world import World
 
@@ -40,6 +41,7 @@ OBJECT_SPIKE_SPEED = 10.0
 
 REASONS = (
     "unstable",
+    "over_speed",
     "handle_lost",
     "too_slow",
     "no_grasp",
@@ -68,6 +70,16 @@ class EpisodeAudit:
     """names of the columns of the traces"""
     phase: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     """`[N]`"""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the robot was told, and whether it obeyed."""
+
+    speed_fraction: NDArray[np.float64]
+    """greatest speed of the targets as a fraction of each joint's limit `[J]`"""
+    stopped_at_s: float | None
+    """when the robot refused to go on"""
 
 
 class Recorder:
@@ -131,11 +143,12 @@ class Recorder:
         self._rows["other_force"].append([other_force])
 
     def finish(
-        self, episode: int, identity: str, start: float, goal: float, planned_tool: Any
+        self, episode: int, trajectory: _core.Trajectory, planned_tool: Any, command: Command
     ) -> EpisodeAudit:
         """Draws the conclusions.
 
         :param planned_tool: `world_from_tool` of the targets at each instant `[N, 7]`
+        :param command: what the robot was told
         """
         traces = {
             name: np.asarray(rows, np.float32)
@@ -147,10 +160,17 @@ class Recorder:
         joint = next(j for j in description["joints"] if j["name"] == self._active)
         column = description["dof_joints"].index(self._active)
         position = traces["object"][:, column]
+        start, goal = trajectory.start, trajectory.goal
         traces["opened"] = ((position - start) / (goal - start))[:, None]
         traces["slip"] = _slip(traces["tool_in_handle"], phase)
         traces["tool_error"] = _pose_error(traces["tool"], planned_tool)
         findings = self._findings(traces, phase, OPENED_FRACTION[joint["kind"]], column)
+        findings |= {
+            "stopped_at_s": command.stopped_at_s,
+            "command_speed_fraction_max": dict(
+                zip(self._controller.arm_names, command.speed_fraction.tolist(), strict=True)
+            ),
+        }
         reason = _reason(findings)
         findings["clean"] = reason == "" and _is_clean(findings)
         columns = {
@@ -163,7 +183,7 @@ class Recorder:
             "tool_error": ["translation_m", "rotation_rad"],
         }
         return EpisodeAudit(
-            episode, identity, reason == "", reason, findings, traces, columns, phase
+            episode, trajectory.id, reason == "", reason, findings, traces, columns, phase
         )
 
     def _findings(
@@ -173,16 +193,15 @@ class Recorder:
         needed: float,
         column: int,
     ) -> dict[str, Any]:
-        world = self._world
         times = traces["times"][:, 0]
         opened = traces["opened"][:, 0]
         moving = phase == MANIPULATE
         holding = (traces["finger_force"] > 0.0)[moving]
         reached = np.flatnonzero(opened >= needed)
-        limits = {j["name"]: j["velocity_limit"] for j in world.robot_description["joints"]}
         arm = self._controller.arm_names
-        speed_limit = np.array([limits[name] or np.inf for name in arm])
-        speed_fraction = np.abs(traces["robot_speed"][:, : len(arm)]) / speed_limit
+        speed_fraction = (
+            np.abs(traces["robot_speed"][:, : len(arm)]) / self._controller.speed_limits
+        )
         interval_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         deep = traces["penetration"].max(axis=1) > DEEP_M
         tracking = np.abs(traces["tracking_error"])
@@ -232,6 +251,7 @@ def _reason(findings: dict[str, Any]) -> str:
     at_handle = findings["handle_distance_end_m"] <= HANDLE_DISTANCE_M
     looked_for = {
         "unstable": not findings["finite"] or (not opened and findings["spikes"] > 0),
+        "over_speed": not opened and findings["stopped_at_s"] is not None,
         "handle_lost": in_time and not at_handle,
         "too_slow": opened and not in_time,
         "no_grasp": not opened and not findings["grasped"],

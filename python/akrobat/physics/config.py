@@ -26,6 +26,7 @@ class PhysicsConfig:
     surface_friction: float
     handle_force_limit_n: float
     handle_force_floor_n: float
+    protective_stop: bool
     keep_gripper_open: bool
     object_offset_m: tuple[float, float, float]
 

@@ -48,6 +48,9 @@ class Controller:
             if joint["velocity_limit"]:
                 # Drives do not exceed the speed that the robot's file allows.
                 world.robot.joint[joint["name"]].set_max_velocity(joint["velocity_limit"])
+        stated = {joint["name"]: joint["velocity_limit"] for joint in robot["joints"]}
+        self.speed_limits = np.array([stated[name] or np.inf for name in self.arm_names])
+        """of base and arm, rad/s and m/s `[J]`"""
         rest = rest_positions(robot)
         for name in self.gains:
             world.robot.joint[name].set_drive_target(rest[name])

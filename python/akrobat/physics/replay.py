@@ -6,7 +6,7 @@ import multiprocessing
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 
 from akrobat import _core
 from akrobat.errors import InputError
-from akrobat.physics.audit import MANIPULATE, EpisodeAudit, Recorder
+from akrobat.physics.audit import MANIPULATE, Command, EpisodeAudit, Recorder
 from akrobat.physics.config import PhysicsConfig
 from akrobat.physics.controller import Controller
 from akrobat.physics.kinematics import tool_poses
 from akrobat.physics.world import World, require_sapien
 
 GRASP = 2
+
+OVER_SPEED = 1.05
+"""fraction of a joint's speed limit beyond which the arm's own controller stops it"""
 
 Vector = NDArray[np.float64]
 
@@ -87,6 +90,21 @@ def timeline(trajectory: _core.Trajectory, fingers: int, config: PhysicsConfig) 
     )
 
 
+def stopped(path: Timeline, step: int) -> Timeline:
+    """The timeline of a robot that stops for good at a time step."""
+    values = {
+        name: np.concatenate([rows[:step], np.broadcast_to(rows[step], rows[step:].shape)])
+        for name, rows in (
+            ("arm", path.arm),
+            ("fingers", path.fingers),
+            ("pressing", path.pressing),
+            ("arm_speed", path.arm_speed),
+        )
+    }
+    values["arm_speed"][step:] = 0.0
+    return replace(path, **values)
+
+
 class Replayer:
     """Replays trajectories of one task, one after another, in the same world."""
 
@@ -100,6 +118,10 @@ class Replayer:
         trajectory = trajectories[episode]
         world, controller, config = self.world, self.controller, self.config
         path = timeline(trajectory, len(controller.finger_names), config)
+        told = np.abs(path.arm_speed) / controller.speed_limits
+        over = np.flatnonzero(told.max(axis=1) > OVER_SPEED)
+        stop = int(over[0]) if config.protective_stop and len(over) else None
+        driven = path if stop is None else stopped(path, stop)
         names = [*controller.arm_names, *controller.finger_names]
         world.reset(
             dict(zip(names, trajectory.robot[0].tolist(), strict=True)),
@@ -108,19 +130,18 @@ class Replayer:
         recorder = Recorder(world, controller, world.object_description["active_joint"])
         targets = []
         for step, time_s in enumerate(path.times_s):
-            controller.drive_arm(path.arm[step], path.arm_speed[step])
-            if not path.pressing[step]:
-                controller.open_fingers(path.fingers[step])
+            controller.drive_arm(driven.arm[step], driven.arm_speed[step])
+            if not driven.pressing[step]:
+                controller.open_fingers(driven.fingers[step])
             elif not config.keep_gripper_open:
-                controller.squeeze(path.fingers[step])
+                controller.squeeze(driven.fingers[step])
             world.step()
             if (step + 1) % config.audit_interval_steps == 0:
                 recorder.note(float(time_s), int(path.phase[step]), path.arm[step])
                 targets.append(np.concatenate([path.arm[step], path.fingers[step]]))
         planned_tool = tool_poses(world.robot_description, names, np.asarray(targets))
-        return recorder.finish(
-            episode, trajectory.id, trajectory.start, trajectory.goal, planned_tool
-        )
+        command = Command(told.max(axis=0), None if stop is None else float(path.times_s[stop]))
+        return recorder.finish(episode, trajectory, planned_tool, command)
 
     def record(self) -> dict[str, Any]:
         """What the world is made of, for reports."""
