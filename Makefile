@@ -42,8 +42,8 @@ test-faults: build
 	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[ray,test]"
 	pytest -m slow tests/python/test_faults.py
 
-# Reads exports of 20 real episodes with LeRobot, robomimic, PyTorch and zarr themselves, and trains two policies a
-# little: 5 GB of packages and some 20 minutes, so not part of `make test`. LeRobot needs Python 3.12.
+# Reads exports of 20 real episodes with LeRobot, robomimic, PyTorch and zarr themselves, trains policies a little and
+# tries them in closed loop: 5 GB of packages and some 20 minutes, so not part of `make test`. LeRobot needs Python 3.12.
 PYTHON312 ?= python3.12
 READERS := $(CURDIR)/.cache/readers
 EXPORTS ?= $(CURDIR)/.cache/exports
@@ -52,6 +52,8 @@ test-readers: build
 	test -x $(READERS)/bin/python || $(PYTHON312) -m venv $(READERS)
 	$(READERS)/bin/pip install --quiet --disable-pip-version-check -r tests/readers/requirements.txt
 	$(READERS)/bin/pip install --quiet --disable-pip-version-check --no-deps lerobot-doctor==0.2.0 robomimic==0.3.0
+	$(READERS)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[physics]"
+	$(READERS)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 	$(VENV)/bin/python tests/readers/make_exports.py $(EXPORTS)
 	AKROBAT_EXPORTS=$(EXPORTS) HF_HUB_OFFLINE=1 $(READERS)/bin/python -m pytest tests/readers
 
