@@ -106,7 +106,7 @@ def test_a_camera_that_moved_by_a_centimetre_is_seen(
         assert (difference is None) is same, difference
 
 
-# Robots, objects and scenes that `renderer/tests/backends.rs` does not have, with few frames of few pixels.
+# Robots, objects and scenes that `renderer/tests/backends.rs` does not have; few frames and pixels.
 OTHER_TASKS = ["tiago_drawer_empty", "summit_drawer_kitchen"]
 SLOW_RIG = """
 name = "slow"
