@@ -18,6 +18,7 @@ fn task_files(robot: &str) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = folder
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(robot))
+        .filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
         .collect();
     files.sort();
     files
