@@ -107,17 +107,29 @@ pub fn generate_scenes(
     request: &GenerateScenesRequest,
     context: &Context<'_>,
 ) -> Result<SceneSet, Error> {
-    if request.count == 0 {
+    set_written_whole(&request.output, request.count, request.threads, |folder| {
+        write_set(folder, request, context)
+    })
+}
+
+/// Has a set of `count` scenes written into a folder, which is there only when the set is whole.
+pub(super) fn set_written_whole(
+    output: &Path,
+    count: usize,
+    threads: Option<usize>,
+    write: impl Fn(&Path) -> Result<SceneSet, Error> + Send + Sync,
+) -> Result<SceneSet, Error> {
+    if count == 0 {
         return Err(Error::Usage("--count: expected at least 1, got 0".into()));
     }
     let began = Instant::now();
     let mut set = None;
-    written_whole(&request.output, |folder| {
-        set = Some(on_threads(request.threads, || write_set(folder, request, context))?);
+    written_whole(output, |folder| {
+        set = Some(on_threads(threads, || write(folder))?);
         Ok(())
     })?;
     let set = set.ok_or_else(|| Error::Failed("nothing was written".into()))?;
-    Ok(SceneSet { output: request.output.clone(), seconds: began.elapsed().as_secs_f64(), ..set })
+    Ok(SceneSet { output: output.to_path_buf(), seconds: began.elapsed().as_secs_f64(), ..set })
 }
 
 fn write_set(

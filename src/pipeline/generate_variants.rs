@@ -12,11 +12,11 @@ use akrobat_model::load::AssetSearch;
 use akrobat_model::urdf;
 use rayon::prelude::*;
 
-use super::generate::written_whole;
 use super::generate_scene::{
-    SceneEntry, SceneSet, SceneTask, check_distinct, finish_set, rounded, task_robots,
+    SceneEntry, SceneSet, SceneTask, check_distinct, finish_set, rounded, set_written_whole,
+    task_robots,
 };
-use super::{Context, on_threads, overview};
+use super::{Context, overview};
 use crate::Error;
 
 const STAGE: &str = "variants";
@@ -51,17 +51,9 @@ pub fn generate_variants(
     request: &GenerateVariantsRequest,
     context: &Context<'_>,
 ) -> Result<SceneSet, Error> {
-    if request.count == 0 {
-        return Err(Error::Usage("--count: expected at least 1, got 0".into()));
-    }
-    let began = Instant::now();
-    let mut set = None;
-    written_whole(&request.output, |folder| {
-        set = Some(on_threads(request.threads, || write_set(folder, request, context))?);
-        Ok(())
-    })?;
-    let set = set.ok_or_else(|| Error::Failed("nothing was written".into()))?;
-    Ok(SceneSet { output: request.output.clone(), seconds: began.elapsed().as_secs_f64(), ..set })
+    set_written_whole(&request.output, request.count, request.threads, |folder| {
+        write_set(folder, request, context)
+    })
 }
 
 fn write_set(
