@@ -44,12 +44,12 @@ test-faults: build
 
 # Reads exports of 20 real episodes with LeRobot, robomimic, PyTorch and zarr themselves, trains policies a little and
 # tries them in closed loop: 5 GB of packages and some 20 minutes, so not part of `make test`. LeRobot needs Python 3.12.
-PYTHON312 ?= python3.12
+PYTHON312 ?= $(shell scripts/python312.sh)
 READERS := $(CURDIR)/.cache/readers
 EXPORTS ?= $(CURDIR)/.cache/exports
 test-readers: build
 	pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[demo,export]"
-	test -x $(READERS)/bin/python || $(PYTHON312) -m venv $(READERS)
+	test -x $(READERS)/bin/python || "$(PYTHON312)" -m venv $(READERS)
 	$(READERS)/bin/pip install --quiet --disable-pip-version-check -r tests/readers/requirements.txt
 	$(READERS)/bin/pip install --quiet --disable-pip-version-check --no-deps lerobot-doctor==0.2.0 robomimic==0.3.0
 	$(READERS)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[physics]"
