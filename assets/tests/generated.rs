@@ -2,8 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that panics is a test that fails")]
 
-use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
+mod common;
+
+use std::collections::HashMap;
 
 use akrobat_assets::appliances::{
     Appliance, Cabinet, Dishwasher, DrawerUnit, HingeSide, Microwave, Oven, Refrigerator,
@@ -14,6 +15,7 @@ use akrobat_assets::kitchen::Kitchen;
 use akrobat_assets::{Palette, demo};
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::{Pose, Shape, urdf};
+use common::contents;
 use nalgebra::Point3;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -41,24 +43,6 @@ fn appliances() -> Vec<Appliance> {
         all.push(Dishwasher { handle, ..Dishwasher::default() }.build("dishwasher", &palette));
     }
     all.into_iter().collect::<Result<_, _>>().unwrap()
-}
-
-/// All files below a folder, by relative path.
-fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut open = vec![folder.to_path_buf()];
-    while let Some(next) = open.pop() {
-        for entry in std::fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                open.push(path);
-            } else {
-                let name = path.strip_prefix(folder).unwrap().display().to_string();
-                files.insert(name, std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    files
 }
 
 /// Edges of an OBJ text that are not shared by exactly two opposite faces.

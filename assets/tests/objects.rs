@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that panics is a test that fails")]
 
-use std::collections::BTreeMap;
-use std::path::Path;
+mod common;
+
 
 use akrobat_assets::appliances::HingeSide;
 use akrobat_assets::description::{CollisionBox, Description};
@@ -15,6 +15,7 @@ use akrobat_assets::overlap::WorldBox;
 use akrobat_assets::solid::Solid;
 use akrobat_model::load::{self, AssetSearch};
 use akrobat_model::{Pose, urdf};
+use common::contents;
 use nalgebra::{Point3, Vector3};
 
 /// Draws of each class: 1,000 and a few in all.
@@ -234,24 +235,6 @@ fn given_dimensions_are_kept_and_leave_the_others_alone() {
     let drawn = drawn(ObjectClass::Refrigerator, 9);
     assert_eq!(wide.size_m[1], 0.55);
     assert_eq!((wide.size_m[0], wide.size_m[2]), (drawn.size_m[0], drawn.size_m[2]));
-}
-
-/// All files below a folder, by relative path.
-fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut open = vec![folder.to_path_buf()];
-    while let Some(next) = open.pop() {
-        for entry in std::fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                open.push(path);
-            } else {
-                let name = path.strip_prefix(folder).unwrap().display().to_string();
-                files.insert(name, std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    files
 }
 
 #[test]

@@ -19,19 +19,24 @@ SPREAD = {"base_m": 0.25, "yaw_rad": 0.4, "arm_rad": 0.3}
 GOALS_PER_START = 6
 
 
+def bare(akr: dict) -> ET.Element:
+    """The AKR's joints without shapes, with the limits URDF demands where left out."""
+    root = ET.fromstring(akr["urdf"])
+    for link in root.findall("link"):
+        for part in list(link):
+            link.remove(part)
+    for limit in root.iter("limit"):
+        limit.attrib.setdefault("effort", "1e9")
+        limit.attrib.setdefault("velocity", "1e9")
+    return root
+
+
 class Akr:
     """One grasp's AKR (base, arm, the object's joint), and where the object's root belongs."""
 
     def __init__(self, akr: dict):
         self.description = akr
-        root = ET.fromstring(akr["urdf"])
-        for link in root.findall("link"):
-            for part in list(link):
-                link.remove(part)
-        for limit in root.iter("limit"):
-            limit.attrib.setdefault("effort", "1e9")
-            limit.attrib.setdefault("velocity", "1e9")
-        whole = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+        whole = pin.buildModelFromXML(ET.tostring(bare(akr), encoding="unicode"))
         rest = pin.neutral(whole)
         for name, value in akr["rest"].items():
             rest[whole.joints[whole.getJointId(name)].idx_q] = value

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import tesseract_robotics.tesseract_common as common
 import tesseract_robotics.tesseract_motion_planners_trajopt as trajopt
-from akr_queries import Akr, Grasped
+from akr_queries import Akr, Grasped, bare
 from tesseract_robotics.tesseract_environment import Environment
 
 WAYPOINTS = 30
@@ -35,13 +35,7 @@ def prepare(seed: int) -> None:
 
 def environment(akr: dict) -> Environment:
     """The AKR's joints, without shapes; those that do not move are fixed where they rest."""
-    root = ET.fromstring(akr["urdf"])
-    for link in root.findall("link"):
-        for part in list(link):
-            link.remove(part)
-    for limit in root.iter("limit"):
-        limit.attrib.setdefault("effort", "1e9")
-        limit.attrib.setdefault("velocity", "1e9")
+    root = bare(akr)
     name = root.get("name")
     srdf = f'<robot name="{name}" version="1.0.0"></robot>'
     found = Environment()

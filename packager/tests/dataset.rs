@@ -2,10 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking, too")]
 
+mod common;
 #[path = "../examples/sample/mod.rs"]
 mod sample;
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -13,31 +13,8 @@ use std::time::Duration;
 use akrobat_model::events::Silent;
 use akrobat_packager::dataset::{Container, Values};
 use akrobat_packager::{DatasetReader, DatasetWriter, PackError, validate};
+use common::{files, problems, written};
 use sample::{EPISODES, FRAMES, config, info, observation};
-
-/// Content of all files below a folder by their relative path.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    for below in [folder.to_path_buf(), folder.join("shards")] {
-        let entries = std::fs::read_dir(below).into_iter().flatten();
-        for entry in entries.flatten().filter(|e| e.path().is_file()) {
-            let name = entry.path().strip_prefix(folder).unwrap().to_string_lossy().into_owned();
-            files.insert(name, std::fs::read(entry.path()).unwrap());
-        }
-    }
-    files
-}
-
-fn written(container: Container) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    sample::write(folder.path(), container, || {}).unwrap();
-    folder
-}
-
-fn problems(folder: &Path) -> String {
-    let report = validate(folder, &Silent).unwrap();
-    report.problems.iter().map(|p| format!("{}: {}\n", p.place, p.message)).collect()
-}
 
 #[test]
 fn episodes_read_back() {

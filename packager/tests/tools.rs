@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking, too")]
 
+mod common;
 #[path = "../examples/sample/mod.rs"]
 mod sample;
 
@@ -15,36 +16,12 @@ use akrobat_packager::dataset::split::{SplitBy, SplitConfig, split};
 use akrobat_packager::dataset::summary::summarize;
 use akrobat_packager::dataset::{Array, Container, Status, Values, publish_parts};
 use akrobat_packager::{
-    Codec, ColorEncoding, DatasetReader, DatasetWriter, DepthEncoding, StorageConfig, validate,
+    Codec, ColorEncoding, DatasetReader, DatasetWriter, DepthEncoding, StorageConfig,
 };
+use common::{files, problems, written};
 use sample::{EPISODES, FRAMES, config, info, observation};
 
 const CONTAINERS: [Container; 2] = [Container::Hdf5, Container::Mcap];
-
-/// Content of all files below a folder by their relative path.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    for below in [folder.to_path_buf(), folder.join("shards")] {
-        for entry in std::fs::read_dir(below).into_iter().flatten().flatten() {
-            if entry.path().is_file() {
-                let name = entry.path().strip_prefix(folder).unwrap().display().to_string();
-                files.insert(name, std::fs::read(entry.path()).unwrap());
-            }
-        }
-    }
-    files
-}
-
-fn written(container: Container) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    sample::write(folder.path(), container, || {}).unwrap();
-    folder
-}
-
-fn problems(folder: &Path) -> String {
-    let report = validate(folder, &Silent).unwrap();
-    report.problems.iter().map(|p| format!("{}: {}\n", p.place, p.message)).collect()
-}
 
 /// All arrays of an episode.
 fn arrays(dataset: &DatasetReader, id: &str) -> BTreeMap<String, Array> {

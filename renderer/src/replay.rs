@@ -36,6 +36,25 @@ pub struct FrameState {
     pub world_from_object: Pose,
 }
 
+impl FrameState {
+    /// Bodies at rest that belong to no robot and no object: all that a renderer looks at.
+    pub fn of_bodies(world_from_body: Vec<Pose>) -> Self {
+        Self {
+            frame: 0,
+            time_s: 0.0,
+            phase: Phase::Manipulate,
+            world_from_body,
+            world_from_robot_link: Vec::new(),
+            world_from_object_link: Vec::new(),
+            robot: Vec::new(),
+            object: Vec::new(),
+            world_from_tool: Pose::identity(),
+            world_from_base: Pose::identity(),
+            world_from_object: Pose::identity(),
+        }
+    }
+}
+
 /// Forward kinematics of a task's robot and object, arranged by body.
 #[derive(Debug, Clone, Copy)]
 pub struct Replay<'a> {

@@ -10,7 +10,7 @@ use akrobat_renderer::enclosure::Enclosures;
 use akrobat_renderer::layers::{self, Motion};
 use akrobat_renderer::lens::LensMap;
 use akrobat_renderer::{Backend, FrameState, PlacedCamera, RenderScene, SoftBackend};
-use common::{World, at, camera, frame_state, primitive, turned};
+use common::{World, at, camera, primitive, turned};
 use nalgebra::{Point3, Vector3};
 
 /// A ball before a tilted board.
@@ -214,7 +214,7 @@ fn a_place_in_a_body_is_told_from_one_in_a_room() {
         .body("room", wall, at(0.0, 0.0, 1.5))
         .body("crate", crate_, at(1.0, 1.0, 0.25))
         .build();
-    let mut frame = frame_state(vec![at(0.0, 0.0, 1.5), at(1.0, 1.0, 0.25)]);
+    let mut frame = FrameState::of_bodies(vec![at(0.0, 0.0, 1.5), at(1.0, 1.0, 0.25)]);
     frame.world_from_base = Pose::translation(-1.0, 0.0, 0.1);
     let enclosures = Enclosures::new(&scene);
     let around = |x: f64, y: f64, z: f64| {

@@ -121,7 +121,7 @@ fn image_sizes_poses_light_and_scenes_may_change_between_calls() {
     // A width whose rows are not a multiple of the copy alignment.
     (camera.intrinsics.width, camera.intrinsics.height) = (101, 67);
     (camera.intrinsics.cx, camera.intrinsics.cy) = (50.5, 33.5);
-    let moved = common::frame_state(vec![at(4.0, 0.0, 0.0)]);
+    let moved = FrameState::of_bodies(vec![at(4.0, 0.0, 0.0)]);
     assert!((render(&scene, &moved, &camera).0 - 3.5).abs() < 1e-5);
 
     let (two, frame) = World::default()
@@ -148,7 +148,7 @@ fn empty_scenes_and_meshes_show_the_background() {
 #[test]
 fn poses_that_do_not_fit_the_scene_are_an_error() {
     let (scene, _) = primitives();
-    let frame = common::frame_state(vec![Pose::identity()]);
+    let frame = FrameState::of_bodies(vec![Pose::identity()]);
     let error = backend().render(&scene, &frame, &cameras()).unwrap_err().to_string();
     assert!(error.contains("5 bodies, got 1"), "{error}");
 }

@@ -233,7 +233,7 @@ fn what_cannot_be_drawn_shows_the_background() {
 fn frames_and_sizes_that_do_not_fit_are_errors() {
     let (scene, frame) = soup(1);
     let mut backend = SoftBackend::new();
-    let short = common::frame_state(vec![Pose::identity()]);
+    let short = FrameState::of_bodies(vec![Pose::identity()]);
     let message = backend.render(&scene, &short, &[ahead()]).unwrap_err().to_string();
     assert!(message.contains("12 bodies"), "{message}");
     let mut huge = ahead();

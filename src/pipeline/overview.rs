@@ -6,7 +6,7 @@ use std::sync::Arc;
 use akrobat_assets::import::floor;
 use akrobat_cameras::Intrinsics;
 use akrobat_model::mesh_io::gltf;
-use akrobat_model::{KinematicTree, Link, Material, Part, Phase, Pose, Shape, TriMesh};
+use akrobat_model::{KinematicTree, Link, Material, Part, Pose, Shape, TriMesh};
 use akrobat_renderer::scene::UnnumberedBody;
 use akrobat_renderer::{Backend, BodyGroup, FrameState, PlacedCamera, RenderScene, SoftBackend};
 use image::{RgbImage, imageops};
@@ -142,25 +142,10 @@ fn draw(
         world_from_camera,
         normals: false,
     };
-    let frames = SoftBackend::new().render(&scene, &still(world_from_body), &[camera])?;
+    let frames =
+        SoftBackend::new().render(&scene, &FrameState::of_bodies(world_from_body), &[camera])?;
     let drawn = frames.first().map(picture::color).unwrap_or_default();
     Ok(imageops::resize(&drawn, KEPT[0], KEPT[1], imageops::FilterType::Triangle))
-}
-
-fn still(world_from_body: Vec<Pose>) -> FrameState {
-    FrameState {
-        frame: 0,
-        time_s: 0.0,
-        phase: Phase::Manipulate,
-        world_from_body,
-        world_from_robot_link: Vec::new(),
-        world_from_object_link: Vec::new(),
-        robot: Vec::new(),
-        object: Vec::new(),
-        world_from_tool: Pose::identity(),
-        world_from_base: Pose::identity(),
-        world_from_object: Pose::identity(),
-    }
 }
 
 /// Pose of a camera (x right, y down, z forward) that looks at the points' middle and sees them all.

@@ -10,27 +10,7 @@ import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 TASK = REPOSITORY / "configs" / "tasks" / "summit_drawer_empty.toml"
-RIG = """
-name = "small"
-
-[[cameras]]
-name = "wrist"
-width = 80
-height = 60
-focal_mm = 15.0
-[cameras.mount]
-on = "link"
-link = "tool"
-link_from_camera = [0.09, 0, -0.1, 0.6718139, -0.2205956, -0.2205956, 0.6718139]
-
-
-[[cameras]]
-name = "fixed"
-width = 80
-height = 60
-focal_mm = 50.0
-mount = { on = "look_at_handle", offset = [1.6, 0.8, 0.9] }
-"""
+RIG = REPOSITORY / "tests" / "rigs" / "small.toml"
 
 
 def akrobat(*arguments: object) -> None:
@@ -59,13 +39,11 @@ def test_plans_are_the_same_on_any_number_of_threads(shared_assets: Path, tmp_pa
 def test_datasets_are_the_same_on_any_number_of_threads(
     drawer_file: Path, shared_assets: Path, tmp_path: Path, container: str
 ) -> None:
-    rig = tmp_path / "small.toml"
-    rig.write_text(RIG)
 
     def render(name: str, threads: int, episodes: str) -> dict[str, bytes]:
         folder = tmp_path / name
         options = ["--backend", "soft", "--phases", "manipulate", "--format", container]
-        options += ["--threads", threads, "--episodes", episodes, "--rig", rig]
+        options += ["--threads", threads, "--episodes", episodes, "--rig", RIG]
         akrobat("render", drawer_file, "-o", folder, "--assets", shared_assets, *options)
         return contents(folder)
 

@@ -28,26 +28,7 @@ from ruamel.yaml import YAML
 
 REPOSITORY = Path(__file__).parents[2]
 
-RIG = """
-name = "small"
-[[cameras]]
-name = "ego_wrist"
-width = 160
-height = 120
-focal_mm = 15.0
-[cameras.mount]
-on = "link"
-link = "tool"
-link_from_camera = [0.09, 0, -0.1, 0.67082, -0.223607, -0.223607, 0.67082]
-[[cameras]]
-name = "fixed"
-width = 96
-height = 64
-focal_mm = 30.0
-[cameras.mount]
-on = "look_at_handle"
-offset = [1.6, 0.8, 0.9]
-"""
+RIG = REPOSITORY / "tests" / "rigs" / "small.toml"
 
 
 @pytest.fixture(scope="session")
@@ -66,12 +47,11 @@ def tiago(shared_assets, tmp_path_factory):
 
 
 def render(trajectories: Path, folder: Path, assets: Path) -> akrobat.Dataset:
-    (folder / "rig.toml").write_text(RIG)
     return akrobat.render(
         trajectories,
         folder / "dataset",
         backend="soft",
-        rig=folder / "rig.toml",
+        rig=RIG,
         manipulation_only=True,
         assets=[assets],
         quiet=True,

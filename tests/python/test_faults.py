@@ -19,16 +19,7 @@ import pytest
 pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).parents[2]
-RIG = """
-name = "tiny"
-
-[[cameras]]
-name = "fixed"
-width = 64
-height = 48
-focal_mm = 50.0
-mount = { on = "look_at_handle", offset = [1.6, 0.8, 0.9] }
-"""
+RIG = REPOSITORY / "tests" / "rigs" / "tiny.toml"
 EPISODES = 6
 KILLS = 100
 #: Runs that are killed in a row before one may finish.
@@ -42,10 +33,9 @@ class Job:
 
     def __init__(self, folder: Path, assets: Path) -> None:
         task = REPOSITORY / "configs" / "tasks" / "summit_drawer_empty.toml"
-        file, rig = folder / "six.h5", folder / "tiny.toml"
+        file = folder / "six.h5"
         akrobat.plan(task, file, limit=EPISODES, assets=[assets], quiet=True)
-        rig.write_text(RIG)
-        inputs = [file, "--assets", assets, "--rig", rig, "--backend", "soft"]
+        inputs = [file, "--assets", assets, "--rig", RIG, "--backend", "soft"]
         options = ["--phases", "manipulate", "--episodes-per-shard", 2, "--cloud-points", 256]
         self.arguments = list(map(str, [*inputs, *options]))
 

@@ -15,16 +15,7 @@ import akrobat
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
-RIG = """
-name = "tiny"
-
-[[cameras]]
-name = "fixed"
-width = 64
-height = 48
-focal_mm = 50.0
-mount = { on = "look_at_handle", offset = [1.6, 0.8, 0.9] }
-"""
+RIG = REPOSITORY / "tests" / "rigs" / "tiny.toml"
 EPISODES = 6
 
 
@@ -35,9 +26,7 @@ class Job:
         task = REPOSITORY / "configs" / "tasks" / "summit_drawer_empty.toml"
         file = folder / "six.h5"
         akrobat.plan(task, file, limit=EPISODES, assets=[assets], quiet=True)
-        rig = folder / "tiny.toml"
-        rig.write_text(RIG)
-        inputs = [file, "--assets", assets, "--rig", rig, "--backend", "soft"]
+        inputs = [file, "--assets", assets, "--rig", RIG, "--backend", "soft"]
         options = ["--phases", "manipulate", "--episodes-per-shard", 1]
         self.arguments = list(map(str, [*inputs, *options]))
 

@@ -16,34 +16,13 @@ import akrobat
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 EPISODES = {"summit": 12, "tiago": 8}
+RIG = REPOSITORY / "tests" / "rigs" / "small.toml"
 FORMATS = ("lerobot", "robomimic", "dp3", "diffusion-policy", "maniskill")
-
-RIG = """
-name = "small"
-[[cameras]]
-name = "ego_wrist"
-width = 160
-height = 120
-focal_mm = 15.0
-[cameras.mount]
-on = "link"
-link = "tool"
-link_from_camera = [0.09, 0, -0.1, 0.67082, -0.223607, -0.223607, 0.67082]
-[[cameras]]
-name = "fixed"
-width = 160
-height = 120
-focal_mm = 30.0
-[cameras.mount]
-on = "look_at_handle"
-offset = [1.6, 0.8, 0.9]
-"""
 
 
 def make(folder: Path, assets: Path) -> None:
     """Plans, renders and exports; what is there already is kept."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "rig.toml").write_text(RIG)
     for robot, episodes in EPISODES.items():
         trajectories, dataset = folder / f"{robot}.h5", folder / f"{robot}_dataset"
         task = REPOSITORY / "configs" / "tasks" / f"{robot}_drawer_empty.toml"
@@ -54,7 +33,7 @@ def make(folder: Path, assets: Path) -> None:
                 trajectories,
                 dataset,
                 backend="soft",
-                rig=folder / "rig.toml",
+                rig=RIG,
                 manipulation_only=True,
                 assets=[assets],
             )

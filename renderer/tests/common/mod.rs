@@ -7,7 +7,7 @@ pub mod ray_tracer;
 use std::sync::Arc;
 
 use akrobat_cameras::{CameraFrame, Intrinsics};
-use akrobat_model::{Material, Part, Phase, Pose, Shape, TriMesh};
+use akrobat_model::{Material, Part, Pose, Shape, TriMesh};
 use akrobat_renderer::{BodyGroup, FrameState, PlacedCamera, RenderScene};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -41,24 +41,7 @@ impl World {
 
     pub fn build(self) -> (RenderScene, FrameState) {
         let scene = RenderScene::new("test".into(), self.bodies).unwrap();
-        (scene, frame_state(self.poses))
-    }
-}
-
-/// A frame of which only the bodies' poses matter.
-pub fn frame_state(world_from_body: Vec<Pose>) -> FrameState {
-    FrameState {
-        frame: 0,
-        time_s: 0.0,
-        phase: Phase::Manipulate,
-        world_from_body,
-        world_from_robot_link: Vec::new(),
-        world_from_object_link: Vec::new(),
-        robot: Vec::new(),
-        object: Vec::new(),
-        world_from_tool: Pose::identity(),
-        world_from_base: Pose::identity(),
-        world_from_object: Pose::identity(),
+        (scene, FrameState::of_bodies(self.poses))
     }
 }
 
