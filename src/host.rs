@@ -11,6 +11,17 @@ use akrobat_renderer::{Backend, RenderError};
 use crate::Error;
 use crate::pipeline::{EvalJob, ReplayJob, ViewJob};
 
+/// A USD stage that was written as a URDF.
+#[derive(Debug, Clone)]
+pub struct ConvertedStage {
+    /// The URDF.
+    pub urdf: PathBuf,
+    /// What was repaired.
+    pub repairs: Vec<String>,
+    /// What could not be taken over.
+    pub lost: Vec<String>,
+}
+
 /// Work that needs Python. The pure binary has no host and says which command to run instead.
 ///
 /// A host is called per batch of frames or per episode, never per frame.
@@ -68,6 +79,12 @@ pub trait Host: Sync {
     /// # Errors
     /// [`Error::Usage`] where the file is not of that kind.
     fn read_traj_data(&self, file: &Path) -> Result<Recordings, Error>;
+
+    /// Writes a USD stage as a URDF with meshes into a folder.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where the stage cannot be read or usd-core is not installed, with what to install.
+    fn usd_to_urdf(&self, stage: &Path, folder: &Path) -> Result<ConvertedStage, Error>;
 
     /// Shows a trajectory or an episode with Rerun. Returns the names of the cameras with images.
     ///

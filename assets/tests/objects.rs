@@ -4,7 +4,6 @@
 
 mod common;
 
-
 use akrobat_assets::appliances::HingeSide;
 use akrobat_assets::description::{CollisionBox, Description};
 use akrobat_assets::grasp::OPENING_M;

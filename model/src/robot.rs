@@ -52,7 +52,8 @@ pub struct RobotFile {
     /// Collision spheres.
     #[serde(default)]
     pub spheres: SpheresSection,
-    /// Link pairs that may touch besides adjacent ones; pairs that always touch are found by sampling.
+    /// Link pairs that may touch besides adjacent ones, to planner and judge; pairs that always touch are found by
+    /// sampling.
     #[serde(default)]
     pub self_collision_ignore: Vec<[String; 2]>,
 }
@@ -155,6 +156,10 @@ pub struct SpheresSection {
     /// Edge of the fitting voxels in metres; spheres have about this diameter.
     #[serde(default)]
     pub voxel_m: Option<f64>,
+    /// Link pairs whose spheres touch far more often than the links do: the planner does not compare them, the judge
+    /// compares their meshes.
+    #[serde(default)]
+    pub overstated: Vec<[String; 2]>,
 }
 
 /// A robot, loaded and checked.

@@ -77,10 +77,9 @@ fn pairs_to_compare(robot: &Robot, model: &SphereModel, kinematics: &Kinematics)
         (0..robot.tree.links().len()).filter(|&l| by_link(l).next().is_some()).collect();
     let name = |link: usize| robot.tree.links()[link].name.as_str();
     let listed = |a: usize, b: usize| {
-        robot
-            .file
-            .self_collision_ignore
-            .iter()
+        let ignored = robot.file.self_collision_ignore.iter();
+        ignored
+            .chain(&robot.file.spheres.overstated)
             .any(|[x, y]| (x == name(a) && y == name(b)) || (x == name(b) && y == name(a)))
     };
     let mut pairs: LinkPairs = Vec::new();

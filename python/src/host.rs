@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use akrobat::pipeline::{EvalJob, ReplayJob, ViewJob};
-use akrobat::{Error, Host};
+use akrobat::{ConvertedStage, Error, Host};
 use akrobat_model::TrajectorySet;
 use akrobat_packager::audit_file::EpisodeAudit;
 use akrobat_packager::export::{ExportFormat, ExportHeader, Sink};
@@ -62,6 +62,17 @@ impl Host for PythonHost {
 
     fn read_traj_data(&self, file: &Path) -> Result<Recordings, Error> {
         crate::export::read_traj_data(file)
+    }
+
+    fn usd_to_urdf(&self, stage: &Path, folder: &Path) -> Result<ConvertedStage, Error> {
+        Python::attach(|py| {
+            let module = py.import("akrobat.usd")?;
+            let paths = (stage.to_string_lossy(), folder.to_string_lossy());
+            let (urdf, repairs, lost): (PathBuf, Vec<String>, Vec<String>) =
+                module.call_method1("to_urdf", paths)?.extract()?;
+            Ok(ConvertedStage { urdf, repairs, lost })
+        })
+        .map_err(crate::export::usage_error)
     }
 
     fn view(&self, job: &ViewJob<'_>) -> Result<Vec<String>, Error> {

@@ -263,6 +263,17 @@ impl Crop {
 /// Edges of the pixel tiles in which points are listed, so that neighbours in the list are neighbours in space.
 const TILE: [u32; 2] = [8, 4];
 
+/// Columns and rows of a tile's pixels, along a Z-order curve too: what a few invalid pixels leave of a tile stays small.
+const WITHIN_TILE: [(u32, u32); (TILE[0] * TILE[1]) as usize] = {
+    let mut places = [(0, 0); (TILE[0] * TILE[1]) as usize];
+    let mut code = 0;
+    while code < places.len() as u32 {
+        places[code as usize] = (every_second_bit(code), every_second_bit(code >> 1));
+        code += 1;
+    }
+    places
+};
+
 /// Lists a camera's points tile by tile, tiles along a Z-order curve.
 fn gather(
     camera: &CameraFrame,
@@ -281,32 +292,32 @@ fn gather(
         if x >= tiles[0] || y >= tiles[1] {
             continue;
         }
-        for v in y * TILE[1]..((y + 1) * TILE[1]).min(i.height) {
-            for u in x * TILE[0]..((x + 1) * TILE[0]).min(i.width) {
-                let pixel = v * i.width + u;
-                let depth_m = camera.depth_m[pixel as usize];
-                if depth_m <= 0.0 {
-                    continue;
-                }
-                if let Some(position) = rays.point(camera, u, v, depth_m)
-                    && crop.keeps(position)
-                {
-                    points.push(position, (index, pixel));
-                }
+        for (du, dv) in WITHIN_TILE {
+            let (u, v) = (x * TILE[0] + du, y * TILE[1] + dv);
+            if u >= i.width || v >= i.height {
+                continue;
+            }
+            let pixel = v * i.width + u;
+            let depth_m = camera.depth_m[pixel as usize];
+            if depth_m <= 0.0 {
+                continue;
+            }
+            if let Some(position) = rays.point(camera, u, v, depth_m)
+                && crop.keeps(position)
+            {
+                points.push(position, (index, pixel));
             }
         }
     }
 }
 
 /// The even bits of a number, moved together.
-fn every_second_bit(code: u32) -> u32 {
+const fn every_second_bit(code: u32) -> u32 {
     let mut bits = code & 0x5555_5555;
-    for shift in [1, 2, 4, 8] {
-        let mask =
-            [0x3333_3333, 0x0f0f_0f0f, 0x00ff_00ff, 0x0000_ffff][(shift as u32).ilog2() as usize];
-        bits = (bits | (bits >> shift)) & mask;
-    }
-    bits
+    bits = (bits | (bits >> 1)) & 0x3333_3333;
+    bits = (bits | (bits >> 2)) & 0x0f0f_0f0f;
+    bits = (bits | (bits >> 4)) & 0x00ff_00ff;
+    (bits | (bits >> 8)) & 0x0000_ffff
 }
 
 /// From pixels and depths to points of the cloud's frame.

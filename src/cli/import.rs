@@ -28,6 +28,7 @@ enum What {
     Mjcf(assets::MjcfArgs),
     Urdf(assets::UrdfArgs),
     Sdf(assets::SdfArgs),
+    Usd(assets::UsdArgs),
     #[command(name = "procthor")]
     ProcThor(assets::ProcThorArgs),
     Grasps(assets::GraspsArgs),
@@ -85,6 +86,7 @@ pub fn run(args: &ImportArgs, context: &Context<'_>) -> Result<Report, Error> {
         What::Mjcf(args) => assets::run_mjcf(args, context),
         What::Urdf(args) => assets::run_urdf(args, context),
         What::Sdf(args) => assets::run_sdf(args, context),
+        What::Usd(args) => assets::run_usd(args, context),
         What::ProcThor(args) => assets::run_procthor(args, context),
         What::Grasps(args) => assets::run_grasps(args),
     }

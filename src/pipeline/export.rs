@@ -173,13 +173,18 @@ fn open_sink(
     if let Some(sink) = export::native_sink(format, folder, header)? {
         return Ok(sink);
     }
-    host_for(context, &format!("the format {}", format.name()))?.export_sink(format, folder, header)
+    let what = format!("the format {}", format.name());
+    host_for(context, &what, "export")?.export_sink(format, folder, header)
 }
 
-pub(super) fn host_for<'a>(context: &Context<'a>, what: &str) -> Result<&'a dyn Host, Error> {
+pub(super) fn host_for<'a>(
+    context: &Context<'a>,
+    what: &str,
+    extra: &str,
+) -> Result<&'a dyn Host, Error> {
     context.host.ok_or_else(|| {
         Error::Usage(format!(
-            "{what} needs the Python package: pip install 'akrobat[export]', then the same command with \
+            "{what} needs the Python package: pip install 'akrobat[{extra}]', then the same command with \
              its `akrobat`"
         ))
     })
@@ -226,7 +231,7 @@ fn export_trajectories(
     let set = trajectory_file::read(&request.input)?;
     let staging = match request.format {
         ExportFormat::Automoma => {
-            let host = host_for(context, "traj_data.pt")?;
+            let host = host_for(context, "traj_data.pt", "export")?;
             let staging = StagingFolder::create(&request.output)?;
             host.write_traj_data(&staging.path().join("traj_data.pt"), &set)?;
             staging

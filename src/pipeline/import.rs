@@ -136,7 +136,8 @@ fn check_request(request: &ImportRequest) -> Result<(), Error> {
 fn read(request: &ImportRequest, task: &Task, context: &Context<'_>) -> Result<Recordings, Error> {
     let is_torch = request.input.extension().is_some_and(|e| e == "pt" || e == "pth");
     if is_torch {
-        return host_for(context, "reading PyTorch files")?.read_traj_data(&request.input);
+        return host_for(context, "reading PyTorch files", "export")?
+            .read_traj_data(&request.input);
     }
     Ok(import::read_recording(&request.input, &task.robot.name, &task.object.name)?)
 }

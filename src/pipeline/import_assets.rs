@@ -9,7 +9,7 @@ use akrobat_assets::import::{
     sdf, static_scene,
 };
 use akrobat_model::load::AssetSearch;
-use akrobat_model::urdf;
+use akrobat_model::{KinematicTree, urdf};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -37,6 +37,8 @@ pub enum AssetSource {
     Mjcf(Option<AssetKind>),
     /// A URDF.
     Urdf(AssetKind),
+    /// A USD stage.
+    Usd(AssetKind),
     /// An SDF world or model, or Drake's directives.
     Sdf,
     /// A ProcTHOR or AI2-THOR house.
@@ -103,7 +105,7 @@ pub fn import_asset(
     context: &Context<'_>,
 ) -> Result<ImportAssetReport, Error> {
     let search = context.asset_search(&request.assets)?;
-    let mut imported = read(&request.input, &request.source, &search)?;
+    let mut imported = read(&request.input, &request.source, &search, context)?;
     if let Imported::Scene(scene) = &mut imported {
         floor::split_floor(scene);
     }
@@ -169,7 +171,12 @@ fn scene_picture(scene: &ImportedScene) -> Result<image::RgbImage, Error> {
     overview::room_picture(bodies.chain(links))
 }
 
-fn read(input: &Path, source: &AssetSource, search: &AssetSearch) -> Result<Imported, Error> {
+fn read(
+    input: &Path,
+    source: &AssetSource,
+    search: &AssetSearch,
+    context: &Context<'_>,
+) -> Result<Imported, Error> {
     Ok(match source {
         AssetSource::PartNet { class, size } => {
             Imported::Object(partnet::read(input, class.as_deref(), *size)?)
@@ -192,27 +199,59 @@ fn read(input: &Path, source: &AssetSource, search: &AssetSearch) -> Result<Impo
         }
         AssetSource::Urdf(kind) => {
             let (tree, notes) = urdf::read(input, search)?;
-            let name = layout::file_name(&input.file_stem().unwrap_or_default().to_string_lossy());
             let mut ledger = Ledger::default();
             notes.into_iter().for_each(|note| ledger.repaired(note));
-            let origin = Origin { source: format!("URDF {name}"), license: String::new() };
-            match kind {
-                AssetKind::Object => Imported::Object(ImportedObject {
-                    class: classes::of_file_name(&name),
-                    name,
-                    tree,
-                    origin,
-                    semantics: Vec::new(),
-                    ledger,
-                }),
-                AssetKind::Scene => Imported::Scene(static_scene(name, &tree, origin, ledger)?),
-            }
+            of_tree(tree, *kind, "URDF", input, ledger)?
         }
+        AssetSource::Usd(kind) => read_usd(input, *kind, search, context)?,
         AssetSource::Sdf => Imported::Scene(sdf::read_scene(input, search)?),
         AssetSource::ProcThor { database } => {
             Imported::Scene(procthor::read(input, database.as_deref())?)
         }
     })
+}
+
+/// A tree under the name of the file that it came from.
+fn of_tree(
+    tree: KinematicTree,
+    kind: AssetKind,
+    format: &str,
+    input: &Path,
+    ledger: Ledger,
+) -> Result<Imported, Error> {
+    let name = layout::file_name(&input.file_stem().unwrap_or_default().to_string_lossy());
+    let origin = Origin { source: format!("{format} {name}"), license: String::new() };
+    Ok(match kind {
+        AssetKind::Object => Imported::Object(ImportedObject {
+            class: classes::of_file_name(&name),
+            name,
+            tree,
+            origin,
+            semantics: Vec::new(),
+            ledger,
+        }),
+        AssetKind::Scene => Imported::Scene(static_scene(name, &tree, origin, ledger)?),
+    })
+}
+
+/// The host writes a URDF, which is then read as any other.
+fn read_usd(
+    input: &Path,
+    kind: AssetKind,
+    search: &AssetSearch,
+    context: &Context<'_>,
+) -> Result<Imported, Error> {
+    if !input.is_file() {
+        return Err(Error::Usage(format!("{}: no such file", input.display())));
+    }
+    let host = super::export::host_for(context, "reading USD", "usd")?;
+    let folder = tempfile::tempdir().map_err(|e| Error::write(&std::env::temp_dir(), &e))?;
+    let stage = host.usd_to_urdf(input, folder.path())?;
+    let (tree, notes) = urdf::read(&stage.urdf, search)?;
+    let mut ledger = Ledger::default();
+    stage.repairs.into_iter().chain(notes).for_each(|note| ledger.repaired(note));
+    stage.lost.into_iter().for_each(|note| ledger.lost(note));
+    of_tree(tree, kind, "USD", input, ledger)
 }
 
 impl ImportAssetReport {

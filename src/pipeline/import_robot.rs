@@ -7,7 +7,7 @@ use akrobat_assets::import::robot::{self, Carrier, Mount, RobotOptions, URDF_NAM
 use akrobat_model::RobotFile;
 use akrobat_model::events::Event;
 use akrobat_model::load::{self, AssetSearch};
-use akrobat_planner::mask::{self, MaskedPair};
+use akrobat_planner::mask::{self, MaskedPair, Reason};
 use akrobat_planner::spheres::{self, SphereFit};
 use akrobat_planner::{SphereModel, rest};
 use serde::Serialize;
@@ -94,7 +94,11 @@ pub fn import_robot(
         let model = spheres::fit_within(&robot.tree, request.spheres, &arm, &robot.finger_links);
         stage("sampling self-collisions");
         let masked = mask::derive(&robot, &model, request.seed);
-        robot.file.self_collision_ignore = masked.iter().map(|pair| pair.links.clone()).collect();
+        let (overstated, apart): (Vec<_>, Vec<_>) =
+            masked.iter().partition(|pair| pair.reason == Reason::Overstated);
+        let links = |pairs: Vec<&MaskedPair>| pairs.iter().map(|pair| pair.links.clone()).collect();
+        robot.file.self_collision_ignore = links(apart);
+        robot.file.spheres.overstated = links(overstated);
         stage("looking for a resting pose");
         let retract = rest::find(&robot, &model, request.seed);
         match retract {

@@ -33,6 +33,11 @@ def succeed(*arguments: object) -> dict[str, Any]:
 
 #: Arm, carrier with its mounts, and where a fixed base stands before the drawers.
 COMPOSITIONS: dict[str, tuple[str, list[str], str]] = {
+    "panda on a platform": (
+        "panda_description/urdf/panda.urdf",
+        ["--mount-on", str(PLATFORM), "--mount-xyz", "0.2,0,0.52", "--base", "holonomic"],
+        "",
+    ),
     "two UR5 on a platform": (
         "ur_description/urdf/ur5_robot.urdf",
         [

@@ -372,9 +372,12 @@ fn check_numbers(path: &Path, tree: &KinematicTree, file: &RobotFile) -> Result<
         joint_index(&place(path, "acceleration_limits"), tree, name)?;
         positive("acceleration_limits", limit)?;
     }
-    let ignored = place(path, "self_collision_ignore");
-    for link in file.self_collision_ignore.iter().flatten() {
-        link_index(&ignored, tree, link)?;
+    for (key, pairs) in [
+        ("self_collision_ignore", &file.self_collision_ignore),
+        ("spheres.overstated", &file.spheres.overstated),
+    ] {
+        let listed = place(path, key);
+        pairs.iter().flatten().try_for_each(|link| link_index(&listed, tree, link).map(|_| ()))?;
     }
     let renamed = place(path, "spheres.rename");
     file.spheres.rename.values().try_for_each(|link| link_index(&renamed, tree, link).map(|_| ()))

@@ -137,6 +137,24 @@ pub struct SdfArgs {
     paths: Paths,
 }
 
+/// Import a USD stage (.usd, .usda, .usdc, .usdz): surroundings, or an object.
+///
+/// Meshes and primitive shapes, with colours of preview surfaces; rigid bodies and their revolute, prismatic and fixed
+/// joints. Units become metres and z is up. Needs Python and `pip install 'akrobat[usd]'`.
+///
+/// Examples:
+///   akrobat import usd kitchen.usda -o kitchen
+///   akrobat import usd microwave.usd --as object -o microwave
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+pub struct UsdArgs {
+    #[command(flatten)]
+    paths: Paths,
+    /// What it is.
+    #[arg(long = "as", value_enum, default_value = "scene")]
+    kind: Kind,
+}
+
 /// Import a ProcTHOR or AI2-THOR house (JSON).
 ///
 /// Walls get their holes, doors become leaves on hinges, objects become boxes of their asset's size, where a
@@ -217,6 +235,11 @@ pub fn run_urdf(args: &UrdfArgs, context: &Context<'_>) -> Result<Report, Error>
 /// Runs `import sdf`.
 pub fn run_sdf(args: &SdfArgs, context: &Context<'_>) -> Result<Report, Error> {
     run(&args.paths, AssetSource::Sdf, context)
+}
+
+/// Runs `import usd`.
+pub fn run_usd(args: &UsdArgs, context: &Context<'_>) -> Result<Report, Error> {
+    run(&args.paths, AssetSource::Usd(args.kind.into()), context)
 }
 
 /// Runs `import procthor`.
