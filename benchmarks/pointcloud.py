@@ -71,7 +71,7 @@ def depth_frames(folder: Path, arguments: argparse.Namespace) -> list[tuple[NDAr
         assets=arguments.assets,
         quiet=True,
     )
-    episode = dataset[0]
+    episode = dataset.episodes[0]
     cameras = ["ego_topdown", "ego_wrist", "fixed"]
 
     def stacked(name: str, frame: int) -> NDArray[Any]:
