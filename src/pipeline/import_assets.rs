@@ -183,8 +183,14 @@ fn read(
         }
         AssetSource::Infinigen { state, objects } => {
             let catalog = objects.as_deref().map(Catalog::of_folder).transpose()?;
-            let catalog = catalog.unwrap_or_default();
-            Imported::Scene(infinigen::read(input, state.as_deref(), &catalog, search)?)
+            let (catalog, state) = (catalog.unwrap_or_default(), state.as_deref());
+            Imported::Scene(if is_usd(input) {
+                let (tree, ledger) = read_usd(input, search, context)?;
+                let stage = static_scene(String::new(), &tree, Origin::default(), ledger)?;
+                infinigen::of_bodies(input, stage.bodies, state, &catalog, search, stage.ledger)?
+            } else {
+                infinigen::read(input, state, &catalog, search)?
+            })
         }
         AssetSource::Mjcf(kind) => {
             let is_scene = match kind {
@@ -203,7 +209,10 @@ fn read(
             notes.into_iter().for_each(|note| ledger.repaired(note));
             of_tree(tree, *kind, "URDF", input, ledger)?
         }
-        AssetSource::Usd(kind) => read_usd(input, *kind, search, context)?,
+        AssetSource::Usd(kind) => {
+            let (tree, ledger) = read_usd(input, search, context)?;
+            of_tree(tree, *kind, "USD", input, ledger)?
+        }
         AssetSource::Sdf => Imported::Scene(sdf::read_scene(input, search)?),
         AssetSource::ProcThor { database } => {
             Imported::Scene(procthor::read(input, database.as_deref())?)
@@ -237,10 +246,9 @@ fn of_tree(
 /// The host writes a URDF, which is then read as any other.
 fn read_usd(
     input: &Path,
-    kind: AssetKind,
     search: &AssetSearch,
     context: &Context<'_>,
-) -> Result<Imported, Error> {
+) -> Result<(KinematicTree, Ledger), Error> {
     if !input.is_file() {
         return Err(Error::Usage(format!("{}: no such file", input.display())));
     }
@@ -251,7 +259,12 @@ fn read_usd(
     let mut ledger = Ledger::default();
     stage.repairs.into_iter().chain(notes).for_each(|note| ledger.repaired(note));
     stage.lost.into_iter().for_each(|note| ledger.lost(note));
-    of_tree(tree, kind, "USD", input, ledger)
+    Ok((tree, ledger))
+}
+
+fn is_usd(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    ["usd", "usda", "usdc", "usdz"].contains(&&*extension)
 }
 
 impl ImportAssetReport {

@@ -160,6 +160,37 @@ def test_units_axes_scales_and_joints(tmp_path: Path) -> None:
     assert "Kd 1 0 0\n" in red
 
 
+def test_an_oven_of_infinigen_is_replaced(tmp_path: Path) -> None:
+    """Names and groups as Blender exports them: objects with a mesh below, in one group for all."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usdc"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/root").GetPrim())
+    boxes = {
+        "kitchen_0_0_floor": ([4.0, 4.0, 0.1], [0.0, 0.0, 0.25]),
+        "OvenFactory_12_spawn_asset_3": ([0.6, 0.6, 0.8], [-1.6, 0.0, 0.7]),
+    }
+    for name, (size, place) in boxes.items():
+        group = UsdGeom.Xform.Define(stage, f"/root/{name}")
+        group.AddTranslateOp().Set(Gf.Vec3d(*place))
+        box = UsdGeom.Cube.Define(stage, f"/root/{name}/Mesh_001")
+        box.CreateSizeAttr(1.0)
+        box.AddScaleOp().Set(Gf.Vec3f(*size))
+    stage.GetRootLayer().Save()
+    result = run("generate", "object", "oven", "--seed", 1, "-o", tmp_path / "objects" / "oven")
+    assert result.returncode == 0, result.stderr
+    command = ("import", "infinigen", tmp_path / "scene.usdc", "--objects", tmp_path / "objects")
+    result = run(*command, "-o", tmp_path / "home", "--json")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    (oven,) = report["manifest"]["objects"]
+    assert oven["replaces"] == "OvenFactory_12_spawn_asset_3"
+    (body,) = report["manifest"]["bodies"]
+    assert body["class"] == "floor"
+    assert any("by -0.3000 m along z" in repair for repair in report["repairs"])
+    assert len(report["tasks"]) == 1
+
+
 def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
     assert "no such file" in refused("import", "usd", tmp_path / "none.usda", "-o", tmp_path / "o")
     broken = tmp_path / "broken.usda"

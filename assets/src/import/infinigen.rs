@@ -70,7 +70,25 @@ pub fn read(
     search: &AssetSearch,
 ) -> Result<ImportedScene, ModelError> {
     let mut ledger = Ledger::default();
-    let mut bodies = load_bodies(scene, &mut ledger)?;
+    let bodies = load_bodies(scene, &mut ledger)?;
+    of_bodies(scene, bodies, state, catalog, search, ledger)
+}
+
+/// A scene whose bodies were read from `scene` by other means, under Infinigen's names.
+///
+/// # Errors
+/// As for [`read`].
+pub fn of_bodies(
+    scene: &Path,
+    mut bodies: Vec<SceneBody>,
+    state: Option<&Path>,
+    catalog: &Catalog,
+    search: &AssetSearch,
+    mut ledger: Ledger,
+) -> Result<ImportedScene, ModelError> {
+    for body in &mut bodies {
+        body.class = class_of(&body.name);
+    }
     let state: Value = match state {
         None => Value::Null,
         Some(path) => serde_json::from_str(&read_text(path)?)
@@ -137,11 +155,14 @@ pub(super) fn body(
     SceneBody { name, class, world_from_body, visuals: vec![part], collisions: Vec::new() }
 }
 
-/// `OvenFactory(12).spawn_asset(3)` is an `oven`, `kitchen_0/0.wall` a `wall`.
+/// `OvenFactory(12).spawn_asset(3)` is an `oven`, `kitchen_0/0.wall` a `wall`, as is `kitchen_0_0_wall`, what USD makes
+/// of that name.
 fn class_of(name: &str) -> String {
+    const STRUCTURE: [&str; 4] = ["floor", "wall", "ceiling", "exterior"];
     let factory = name.split_once("Factory").map(|(class, _)| class);
     let dotted = name.rsplit_once('.').filter(|(_, tail)| tail.starts_with(char::is_alphabetic));
-    let plain = factory.or(dotted.map(|(_, tail)| tail)).unwrap_or(name);
+    let structure = name.rsplit_once('_').filter(|(_, tail)| STRUCTURE.contains(tail));
+    let plain = factory.or(dotted.or(structure).map(|(_, tail)| tail)).unwrap_or(name);
     classes::canonical(plain.trim_end_matches(|c: char| !c.is_alphabetic()))
 }
 

@@ -48,6 +48,7 @@ class Converter:
         self.body_from_link: dict[str, Matrix] = {}
         prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
         self.prims = list(prims)
+        self.default = stage.GetDefaultPrim()
         self.bodies = {str(p.GetPath()): p for p in self.prims if p.HasAPI(UsdPhysics.RigidBodyAPI)}
         self.world_from_stage = np.eye(4)
         if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
@@ -217,7 +218,8 @@ class Converter:
                 ElementTree.SubElement(material, "color", rgba=rgba)
 
     def _owner(self, prim: Any) -> Any:
-        """What a shape belongs to: the body above it, else the component, else itself."""
+        """What a shape belongs to: the body above it, else the component, else the group of nothing
+        but shapes that exporters of meshes make of an object, else itself."""
         above = prim
         while above and str(above.GetPath()) not in self.bodies:
             above = above.GetParent()
@@ -226,7 +228,11 @@ class Converter:
         above = prim
         while above and Usd.ModelAPI(above).GetKind() != "component":
             above = above.GetParent()
-        return above or prim
+        if above:
+            return above
+        group = prim.GetParent()
+        is_group = group.IsA(UsdGeom.Xform) and group != self.default
+        return group if is_group and _holds_shapes_alone(group) else prim
 
     def _world_from_link(self, owner: Any) -> Matrix:
         path = str(owner.GetPath())
@@ -239,6 +245,14 @@ class Converter:
             self.links[path] = ElementTree.SubElement(self.robot, "link", name=name)
             self._joint(f"{path}_place", "fixed", "world", name, self._world_from_body(owner))
         return self.links[path]
+
+
+def _holds_shapes_alone(group: Any) -> bool:
+    return all(child.IsA(UsdGeom.Gprim) for child in group.GetChildren() if _is_drawn(child))
+
+
+def _is_drawn(prim: Any) -> bool:
+    return bool(prim.IsA(UsdGeom.Xformable)) and not prim.IsA(UsdGeom.Camera)
 
 
 def _stage_from(prim: Any) -> Matrix:

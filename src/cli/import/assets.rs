@@ -73,7 +73,7 @@ pub struct PartNetArgs {
     scale: Option<f64>,
 }
 
-/// Import an Infinigen scene (GLB, glTF or OBJ).
+/// Import an Infinigen scene (GLB, glTF, OBJ, or USD with `pip install 'akrobat[usd]'`).
 ///
 /// Brings the kitchen's floor to z = 0. With --objects, static placeholders of ovens, refrigerators and the like are
 /// replaced by articulated objects of their class, scaled uniformly to their boxes.
