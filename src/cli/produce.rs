@@ -1,12 +1,11 @@
 //! `akrobat produce`: plans in many generated scenes.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
 
 use super::Report;
-use crate::pipeline::{self, Context, ProduceReport, ProduceRequest, Yield};
+use crate::pipeline::{self, Context, ProduceReport, ProduceRequest};
 use crate::{Error, ExitCode};
 
 /// Plan trajectories for every object of many generated scenes, by every robot, and tell the yield.
@@ -67,7 +66,7 @@ pub fn run(args: &ProduceArgs, context: &Context<'_>) -> Result<Report, Error> {
         threads: args.threads,
     };
     let report = pipeline::produce(&request, context)?;
-    let whole = report.is_complete() && report.total.accepted > 0;
+    let whole = report.is_complete() && report.yields.total.accepted > 0;
     Ok(Report {
         text: text(&report),
         json: serde_json::to_value(&report).unwrap_or_default(),
@@ -76,48 +75,15 @@ pub fn run(args: &ProduceArgs, context: &Context<'_>) -> Result<Report, Error> {
 }
 
 fn text(report: &ProduceReport) -> String {
-    let mut lines = vec![
-        format!(
-            "{}: {} tasks planned, {} planned before, {} left; in {}",
-            report.name,
-            report.planned,
-            report.resumed,
-            report.left,
-            report.output.display()
-        ),
-        format!(
-            "{:<24}{:>8}{:>8}{:>10}{:>10}{:>10}",
-            "", "tasks", "solved", "accepted", "seconds", "per hour"
-        ),
-        line("all", &report.total),
-    ];
-    for (title, sums) in [
-        ("confinement", &report.by_confinement),
-        ("layout", &report.by_layout),
-        ("object", &report.by_class),
-        ("robot", &report.by_robot),
-    ] {
-        lines.push(title.into());
-        lines.extend(table(sums));
-    }
-    if !report.reasons.is_empty() {
-        lines.push("what stopped trajectories and tasks".into());
-        lines.extend(report.reasons.iter().map(|(name, count)| format!("{count:>9}  {name}")));
-    }
+    let mut lines = vec![format!(
+        "{}: {} tasks planned, {} planned before, {} left; in {}",
+        report.name,
+        report.planned,
+        report.resumed,
+        report.left,
+        report.output.display()
+    )];
+    lines.extend(report.yields.table());
+    lines.extend(report.yields.reasons_table());
     lines.join("\n")
-}
-
-fn table(sums: &BTreeMap<String, Yield>) -> Vec<String> {
-    sums.iter().map(|(name, sum)| line(&format!("  {name}"), sum)).collect()
-}
-
-fn line(name: &str, sum: &Yield) -> String {
-    format!(
-        "{name:<24}{:>8}{:>8}{:>10}{:>10.0}{:>10.0}",
-        sum.tasks,
-        sum.solved,
-        sum.accepted,
-        sum.seconds,
-        sum.per_hour()
-    )
 }

@@ -27,6 +27,7 @@ mod share;
 mod simulated;
 mod survey;
 mod view;
+mod yields;
 
 use std::path::{Path, PathBuf};
 
@@ -54,7 +55,7 @@ pub use judge::{JudgeRequest, Judged, judge};
 pub use plan::{PlanBackend, PlanReport, PlanRequest, plan};
 pub use planned::planned_task;
 use planned::selection;
-pub use produce::{ProduceReport, ProduceRequest, ProductionFile, Yield, produce};
+pub use produce::{ProduceReport, ProduceRequest, ProductionFile, produce};
 pub use production::{
     BaseCoverage, CELL_M as BASE_CELL_M, Opening, Production, ProductionRequest, Shot,
     StartDiversity, files_below, is_production, production,
@@ -70,6 +71,7 @@ pub use report::{ReportRequest, report};
 pub use run::{JobFile, RenderSettings, RunOutput, RunReport, RunRequest, Variants, run};
 pub use survey::{CameraSurvey, Survey, SurveyRequest, ViewSurvey, survey};
 pub use view::{ViewBody, ViewJob, ViewMesh, ViewReport, ViewRequest, ViewTable, view};
+pub use yields::{Yield, Yields};
 
 /// Folders of assets, separated like those of `PATH`.
 pub const ASSET_PATH_VARIABLE: &str = "AKROBAT_ASSET_PATH";

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::generate_scene::{SCENES_FILE, SceneEntry, SceneSet, SceneTask};
 use super::plan::plan_reusing;
+use super::yields::Yields;
 use super::{Context, PlanRequest, folder_of};
 use crate::Error;
 
@@ -144,33 +145,6 @@ impl Job<'_> {
     }
 }
 
-/// Sums over tasks.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Yield {
-    /// Tasks planned.
-    pub tasks: usize,
-    /// Those of which a trajectory was accepted.
-    pub solved: usize,
-    /// Accepted trajectories.
-    pub accepted: usize,
-    /// Wall time of planning, seconds.
-    pub seconds: f64,
-}
-
-impl Yield {
-    pub(super) fn add(&mut self, record: &Record) {
-        self.tasks += 1;
-        self.solved += usize::from(record.accepted > 0);
-        self.accepted += record.accepted;
-        self.seconds += record.seconds;
-    }
-
-    /// Accepted trajectories an hour.
-    pub fn per_hour(&self) -> f64 {
-        if self.seconds > 0.0 { self.accepted as f64 * 3600.0 / self.seconds } else { 0.0 }
-    }
-}
-
 /// What the run has given so far, earlier runs of the job included.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct ProduceReport {
@@ -184,18 +158,9 @@ pub struct ProduceReport {
     pub resumed: usize,
     /// Tasks that the time budget left.
     pub left: usize,
-    /// All of them.
-    pub total: Yield,
-    /// By confinement, from open to confined.
-    pub by_confinement: BTreeMap<String, Yield>,
-    /// By arrangement of the units.
-    pub by_layout: BTreeMap<String, Yield>,
-    /// By class of object.
-    pub by_class: BTreeMap<String, Yield>,
-    /// By robot.
-    pub by_robot: BTreeMap<String, Yield>,
-    /// What stopped trajectories and tasks, with how often.
-    pub reasons: BTreeMap<String, u64>,
+    /// What planning gave.
+    #[serde(flatten)]
+    pub yields: Yields,
 }
 
 impl ProduceReport {
@@ -251,7 +216,7 @@ pub fn produce(request: &ProduceRequest, context: &Context<'_>) -> Result<Produc
                 record
             }
         };
-        report.add(&record);
+        report.yields.add(&record);
         context.observer.event(&Event::Progress { stage: STAGE, done: index as u64 + 1 });
     }
     let seconds = began.elapsed().as_secs_f64();
@@ -440,22 +405,4 @@ fn plan_one(
         counts,
         error,
     })
-}
-
-impl ProduceReport {
-    fn add(&mut self, record: &Record) {
-        let confinement = record.confinement_bin();
-        self.total.add(record);
-        for (sums, key) in [
-            (&mut self.by_confinement, &confinement),
-            (&mut self.by_layout, &record.layout),
-            (&mut self.by_class, &record.class),
-            (&mut self.by_robot, &record.robot),
-        ] {
-            sums.entry(key.clone()).or_default().add(record);
-        }
-        for (reason, count) in record.reasons() {
-            *self.reasons.entry(reason).or_default() += count;
-        }
-    }
 }

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use super::produce::{Record, read_record};
 use super::render::{BackendChoice, Source, load_rig, open_backend};
-use super::{Context, Yield};
+use super::{Context, Yields};
 use crate::Error;
 use crate::report::picture;
 
@@ -61,20 +61,9 @@ pub struct Production {
     pub accepted: usize,
     /// Motion in them, seconds.
     pub motion_s: f64,
-    /// What planning took, where it is known.
-    pub total: Yield,
-    /// By confinement of the scene.
-    pub by_confinement: BTreeMap<String, Yield>,
-    /// By arrangement of the units, or imported scene.
-    pub by_layout: BTreeMap<String, Yield>,
-    /// By class of object.
-    pub by_class: BTreeMap<String, Yield>,
-    /// By robot.
-    pub by_robot: BTreeMap<String, Yield>,
-    /// By scene.
-    pub by_scene: BTreeMap<String, Yield>,
-    /// What stopped trajectories and tasks, with how often.
-    pub reasons: BTreeMap<String, u64>,
+    /// What planning gave and took, where it is known.
+    #[serde(flatten)]
+    pub yields: Yields,
     /// How far things were opened, by class of object.
     pub openings: BTreeMap<String, Opening>,
     /// Where bases stood when they took hold, by robot.
@@ -245,7 +234,7 @@ impl Sums {
             None => record_of(set),
         };
         self.production.trajectories += set.trajectories.len();
-        self.add_record(&record);
+        self.production.yields.add(&record);
         let world_from_object = object_pose(set);
         for trajectory in &set.trajectories {
             let accepted = trajectory.verdict.as_ref().is_some_and(|v| v.accepted());
@@ -262,23 +251,6 @@ impl Sums {
         Ok(())
     }
 
-    fn add_record(&mut self, record: &Record) {
-        let production = &mut self.production;
-        production.total.add(record);
-        for (sums, key) in [
-            (&mut production.by_confinement, record.confinement_bin()),
-            (&mut production.by_layout, record.layout.clone()),
-            (&mut production.by_class, record.class.clone()),
-            (&mut production.by_robot, record.robot.clone()),
-            (&mut production.by_scene, record.scene.clone()),
-        ] {
-            sums.entry(key).or_default().add(record);
-        }
-        for (reason, count) in record.reasons() {
-            *production.reasons.entry(reason).or_default() += count;
-        }
-    }
-
     /// Tasks without a trajectory file have left a record alone.
     fn add_fruitless(&mut self, folder: &Path) -> Result<(), Error> {
         let mut open = vec![folder.to_path_buf()];
@@ -291,7 +263,7 @@ impl Sums {
                     && !path.with_extension("h5").exists()
                     && let Some(record) = read_record(&path)?
                 {
-                    self.add_record(&record);
+                    self.production.yields.add(&record);
                 }
             }
         }

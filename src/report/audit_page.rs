@@ -4,9 +4,10 @@ use std::path::Path;
 
 use akrobat_model::trajectory::TrajectoryHeader;
 use akrobat_packager::audit_file::{AuditFile, EpisodeAudit, Trace};
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use super::chart::{Chart, Level, Series};
+use super::document::document;
 use super::save;
 use crate::Error;
 
@@ -89,32 +90,23 @@ pub fn write(path: &Path, header: &TrajectoryHeader, audit: &AuditFile) -> Resul
 
 fn page(header: &TrajectoryHeader, audit: &AuditFile) -> Markup {
     let succeeded = audit.episodes.iter().filter(|episode| episode.success).count();
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (header.task_name) " in physics · Akrobat" }
-                style { (PreEscaped(include_str!("page.css"))) }
+    document(
+        &format!("{} in physics · Akrobat", header.task_name),
+        &html! {
+            header.top {
+                p.brand { "Akrobat audit" }
+                h1 { (header.task_name) " in physics" }
+                p { (succeeded) " of " (audit.episodes.len()) " episodes succeed." }
             }
-            body {
-                header.top {
-                    p.brand { "Akrobat audit" }
-                    h1 { (header.task_name) " in physics" }
-                    p { (succeeded) " of " (audit.episodes.len()) " episodes succeed." }
-                }
-                main {
-                    section { h2 { "Episodes" } (table(audit)) }
-                    @for episode in &audit.episodes { (plots(episode)) }
-                    section { h2 { "World" } pre { (format!("{:#}", audit.world)) } }
-                    section { h2 { "Settings" } pre { (format!("{:#}", audit.config)) } }
-                }
-                footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · time in seconds" }
+            main {
+                section { h2 { "Episodes" } (table(audit)) }
+                @for episode in &audit.episodes { (plots(episode)) }
+                section { h2 { "World" } pre { (format!("{:#}", audit.world)) } }
+                section { h2 { "Settings" } pre { (format!("{:#}", audit.config)) } }
             }
-        }
-    }
+            footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · time in seconds" }
+        },
+    )
 }
 
 fn table(audit: &AuditFile) -> Markup {

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use akrobat_packager::dataset::summary::Summary;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
+use super::document::document;
 use super::save;
 use crate::Error;
 
@@ -18,43 +19,34 @@ pub fn write(path: &Path, summary: &Summary) -> Result<(), Error> {
 }
 
 fn page(summary: &Summary) -> Markup {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (summary.name) " · Akrobat dataset" }
-                style { (PreEscaped(include_str!("page.css"))) }
-            }
-            body {
-                header.top {
-                    p.brand { "Akrobat dataset" }
-                    h1 { (summary.name) }
-                    p {
-                        (summary.episodes) " episodes, " (summary.frames) " frames, "
-                        (megabytes(summary.bytes)) " MB in " (summary.files) " files; "
-                        (summary.unique_starts) " different start states."
-                        @if !summary.complete { " The run that writes it has not come to its end." }
-                    }
+    document(
+        &format!("{} · Akrobat dataset", summary.name),
+        &html! {
+            header.top {
+                p.brand { "Akrobat dataset" }
+                h1 { (summary.name) }
+                p {
+                    (summary.episodes) " episodes, " (summary.frames) " frames, "
+                    (megabytes(summary.bytes)) " MB in " (summary.files) " files; "
+                    (summary.unique_starts) " different start states."
+                    @if !summary.complete { " The run that writes it has not come to its end." }
                 }
-                main {
-                    section { h2 { "Episodes" }
-                        (counts("robot", &summary.robots))
-                        (counts("object", &summary.objects))
-                        (counts("scene", &summary.scenes))
-                        @if !summary.reasons.is_empty() { (counts("left out", &summary.reasons)) }
-                    }
-                    section { h2 { "Arrays" } (arrays(summary)) }
-                    @for robot in summary.joints.keys() {
-                        section { h2 { "Joints of " (robot) } (joints(summary, robot)) }
-                    }
-                }
-                footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · rad and m" }
             }
-        }
-    }
+            main {
+                section { h2 { "Episodes" }
+                    (counts("robot", &summary.robots))
+                    (counts("object", &summary.objects))
+                    (counts("scene", &summary.scenes))
+                    @if !summary.reasons.is_empty() { (counts("left out", &summary.reasons)) }
+                }
+                section { h2 { "Arrays" } (arrays(summary)) }
+                @for robot in summary.joints.keys() {
+                    section { h2 { "Joints of " (robot) } (joints(summary, robot)) }
+                }
+            }
+            footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · rad and m" }
+        },
+    )
 }
 
 /// Bytes in millions.

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use maud::{DOCTYPE, PreEscaped, html};
+use maud::html;
 
+use super::document::document;
 use super::save;
 use crate::Error;
 
@@ -25,31 +26,22 @@ pub struct IndexEntry {
 /// # Errors
 /// Where the file cannot be written.
 pub fn write_index(folder: &Path, title: &str, entries: &[IndexEntry]) -> Result<PathBuf, Error> {
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(include_str!("page.css"))) }
-            }
-            body {
-                header.top { p.brand { "Akrobat" } h1 { (title) } }
-                main {
-                    @for entry in entries {
-                        section {
-                            h2 { a href=(entry.link) { (entry.name) } }
-                            p { (entry.summary) }
-                            @if let Some(picture) = &entry.picture {
-                                a href=(entry.link) { img src=(picture) alt=(entry.name) style="max-width:100%"; }
-                            }
+    let page = document(
+        title,
+        &html! {
+            header.top { p.brand { "Akrobat" } h1 { (title) } }
+            main {
+                @for entry in entries {
+                    section {
+                        h2 { a href=(entry.link) { (entry.name) } }
+                        p { (entry.summary) }
+                        @if let Some(picture) = &entry.picture {
+                            a href=(entry.link) { img src=(picture) alt=(entry.name) style="max-width:100%"; }
                         }
                     }
                 }
             }
-        }
-    };
+        },
+    );
     save(&folder.join("index.html"), page.into_string().as_bytes())
 }

@@ -9,6 +9,7 @@ pub mod audit_page;
 pub mod chart;
 pub mod cloud;
 pub mod dataset_page;
+mod document;
 pub mod drift;
 pub mod footprint;
 pub mod glb;

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use akrobat_model::{JointKind, Phase, Trajectory, Verdict};
 use akrobat_renderer::RenderScene;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::chart::{Band, Chart, Level, Series, number};
+use super::document::document;
 use super::drift::{Drift, anchor_drift};
 use super::shown::{CameraSheet, Shown};
 use super::{ReportInput, footprint, picture, trajectory_color};
@@ -22,7 +23,6 @@ const PLOT_POINTS: usize = 240;
 /// Rows of the table of trajectories, at most.
 const MAX_ROWS: usize = 60;
 
-const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
 /// The whole page.
@@ -36,39 +36,30 @@ pub fn page(
 ) -> Result<Markup, Error> {
     let header = &input.set.header;
     let indices: Vec<usize> = panels.iter().map(|panel| panel.index).collect();
-    Ok(html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (header.task_name) " · Akrobat" }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                header.top {
-                    p.brand { "Akrobat report" }
-                    h1 { (header.task_name) }
-                    (facts(input))
-                    nav {
-                        @for (id, name) in sections(input) { a href=(format!("#{id}")) { (name) } }
-                    }
+    Ok(document(
+        &format!("{} · Akrobat", header.task_name),
+        &html! {
+            header.top {
+                p.brand { "Akrobat report" }
+                h1 { (header.task_name) }
+                (facts(input))
+                nav {
+                    @for (id, name) in sections(input) { a href=(format!("#{id}")) { (name) } }
                 }
-                main {
-                    (trajectories_section(input, panels))
-                    (footprint_section(input, scene, &indices))
-                    (drift_section(input, &indices)?)
-                    (verdict_section(input, &indices))
-                    (counts_section(&header.counts))
-                    (run_sections(input))
-                    (licence_section(input))
-                }
-                footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · units are SI, angles radians, the world is Z up" }
-                script { (PreEscaped(SCRIPT)) }
             }
-        }
-    })
+            main {
+                (trajectories_section(input, panels))
+                (footprint_section(input, scene, &indices))
+                (drift_section(input, &indices)?)
+                (verdict_section(input, &indices))
+                (counts_section(&header.counts))
+                (run_sections(input))
+                (licence_section(input))
+            }
+            footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · units are SI, angles radians, the world is Z up" }
+            script { (PreEscaped(SCRIPT)) }
+        },
+    ))
 }
 
 fn sections(input: &ReportInput<'_>) -> Vec<(&'static str, &'static str)> {

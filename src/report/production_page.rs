@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
+use super::document::document;
 use super::{picture, save};
 use crate::Error;
 use crate::pipeline::{BaseCoverage, Opening, Production, Shot, StartDiversity, Yield};
@@ -26,67 +27,58 @@ fn page(production: &Production, shots: &[Shot]) -> Result<Markup, Error> {
         .iter()
         .map(|shot| Ok((shot.caption.as_str(), picture::jpeg_uri(&shot.picture)?)))
         .collect::<Result<Vec<_>, Error>>()?;
-    Ok(html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (name) " · Akrobat production" }
-                style { (PreEscaped(include_str!("page.css"))) }
-            }
-            body {
-                header.top {
-                    p.brand { "Akrobat production" }
-                    h1 { (name) }
-                    dl.facts {
-                        (fact("trajectories", &production.trajectories.to_string()))
-                        (fact("accepted by the judge", &production.accepted.to_string()))
-                        (fact("files", &production.files.to_string()))
-                        (fact("scenes", &production.by_scene.len().to_string()))
-                        (fact("tasks planned", &production.total.tasks.to_string()))
-                        (fact("tasks solved", &production.total.solved.to_string()))
-                        (fact("accepted an hour", &format!("{:.0}", production.total.per_hour())))
-                        (fact("motion", &format!("{:.1} h", production.motion_s / 3600.0)))
-                    }
+    Ok(document(
+        &format!("{name} · Akrobat production"),
+        &html! {
+            header.top {
+                p.brand { "Akrobat production" }
+                h1 { (name) }
+                dl.facts {
+                    (fact("trajectories", &production.trajectories.to_string()))
+                    (fact("accepted by the judge", &production.accepted.to_string()))
+                    (fact("files", &production.files.to_string()))
+                    (fact("scenes", &production.yields.by_scene.len().to_string()))
+                    (fact("tasks planned", &production.yields.total.tasks.to_string()))
+                    (fact("tasks solved", &production.yields.total.solved.to_string()))
+                    (fact("accepted an hour", &format!("{:.0}", production.yields.total.per_hour())))
+                    (fact("motion", &format!("{:.1} h", production.motion_s / 3600.0)))
                 }
-                main {
-                    @if !pictures.is_empty() {
-                        section { h2 { "Some of them" }
-                            div.groups {
-                                @for (caption, uri) in &pictures {
-                                    figure.film { img src=(uri) alt=(caption); figcaption { (caption) } }
-                                }
+            }
+            main {
+                @if !pictures.is_empty() {
+                    section { h2 { "Some of them" }
+                        div.groups {
+                            @for (caption, uri) in &pictures {
+                                figure.film { img src=(uri) alt=(caption); figcaption { (caption) } }
                             }
                         }
                     }
-                    section { h2 { "Yield" }
-                        (yields("confinement", &production.by_confinement))
-                        (yields("layout", &production.by_layout))
-                        (yields("object", &production.by_class))
-                        (yields("robot", &production.by_robot))
-                    }
-                    section { h2 { "Where bases stood" }
-                        p.note {
-                            "When they took hold, in the object's frame: its root is the cross, its front faces to the right. "
-                            "One cell is " (format!("{:.0}", 100.0 * crate::pipeline::BASE_CELL_M)) " cm wide; darker is more often."
-                        }
-                        div.groups { @for (robot, base) in &production.bases { (heat_map(robot, base)) } }
-                    }
-                    section { h2 { "How far things were opened" }
-                        div.groups { @for (class, opening) in &production.openings { (histogram(class, opening)) } }
-                    }
-                    section { h2 { "How much starts differ" } (starts(&production.starts)) }
-                    @if !production.reasons.is_empty() {
-                        section { h2 { "What stopped trajectories and tasks" } (reasons(&production.reasons)) }
-                    }
-                    section { h2 { "Scenes" } (yields("scene", &production.by_scene)) }
                 }
-                footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · rad and m" }
+                section { h2 { "Yield" }
+                    (yields("confinement", &production.yields.by_confinement))
+                    (yields("layout", &production.yields.by_layout))
+                    (yields("object", &production.yields.by_class))
+                    (yields("robot", &production.yields.by_robot))
+                }
+                section { h2 { "Where bases stood" }
+                    p.note {
+                        "When they took hold, in the object's frame: its root is the cross, its front faces to the right. "
+                        "One cell is " (format!("{:.0}", 100.0 * crate::pipeline::BASE_CELL_M)) " cm wide; darker is more often."
+                    }
+                    div.groups { @for (robot, base) in &production.bases { (heat_map(robot, base)) } }
+                }
+                section { h2 { "How far things were opened" }
+                    div.groups { @for (class, opening) in &production.openings { (histogram(class, opening)) } }
+                }
+                section { h2 { "How much starts differ" } (starts(&production.starts)) }
+                @if !production.yields.reasons.is_empty() {
+                    section { h2 { "What stopped trajectories and tasks" } (reasons(&production.yields.reasons)) }
+                }
+                section { h2 { "Scenes" } (yields("scene", &production.yields.by_scene)) }
             }
-        }
-    })
+            footer { "Akrobat " (env!("CARGO_PKG_VERSION")) " · rad and m" }
+        },
+    ))
 }
 
 fn fact(name: &str, value: &str) -> Markup {

@@ -29,31 +29,16 @@ pub fn inspect(
 }
 
 fn text(production: &Production) -> String {
-    let mut lines = vec![
-        format!(
-            "{}: {} trajectories in {} files, {} accepted by the judge, {:.1} h of motion",
-            production.folder.display(),
-            production.trajectories,
-            production.files,
-            production.accepted,
-            production.motion_s / 3600.0
-        ),
-        format!(
-            "{:<24}{:>8}{:>8}{:>10}{:>10}{:>10}",
-            "", "tasks", "solved", "accepted", "seconds", "an hour"
-        ),
-        line("all", &production.total),
-    ];
-    for (title, sums) in [
-        ("confinement", &production.by_confinement),
-        ("layout", &production.by_layout),
-        ("object", &production.by_class),
-        ("robot", &production.by_robot),
-    ] {
-        lines.push(title.into());
-        lines.extend(sums.iter().map(|(name, sum)| line(&format!("  {name}"), sum)));
-    }
-    lines.push(format!("scenes: {}", scenes(&production.by_scene)));
+    let mut lines = vec![format!(
+        "{}: {} trajectories in {} files, {} accepted by the judge, {:.1} h of motion",
+        production.folder.display(),
+        production.trajectories,
+        production.files,
+        production.accepted,
+        production.motion_s / 3600.0
+    )];
+    lines.extend(production.yields.table());
+    lines.push(format!("scenes: {}", scenes(&production.yields.by_scene)));
     for (class, opening) in &production.openings {
         lines.push(format!(
             "opened   {class:<16}{:.2} to {:.2}, {:.2} on average (rad or m)",
@@ -78,10 +63,7 @@ fn text(production: &Production) -> String {
         ));
     }
     lines.extend(production.not_drawn.iter().map(|reason| format!("not drawn: {reason}")));
-    if !production.reasons.is_empty() {
-        lines.push("what stopped trajectories and tasks".into());
-        lines.extend(production.reasons.iter().map(|(name, count)| format!("{count:>9}  {name}")));
-    }
+    lines.extend(production.yields.reasons_table());
     lines.join("\n")
 }
 
@@ -90,15 +72,4 @@ fn scenes(sums: &BTreeMap<String, Yield>) -> String {
     let accepted = sums.values().map(|sum| sum.accepted);
     let (least, most) = (accepted.clone().min().unwrap_or(0), accepted.max().unwrap_or(0));
     format!("{}, {solved} with trajectories, {least} to {most} each", sums.len())
-}
-
-fn line(name: &str, sum: &Yield) -> String {
-    format!(
-        "{name:<24}{:>8}{:>8}{:>10}{:>10.0}{:>10.0}",
-        sum.tasks,
-        sum.solved,
-        sum.accepted,
-        sum.seconds,
-        sum.per_hour()
-    )
 }
