@@ -220,3 +220,41 @@ fn a_robot_is_imported_and_found_again() {
     broken.stderr(contains("broken.urdf"));
     assert!(!folder.path().join("none").exists());
 }
+
+#[test]
+fn what_replaces_a_placeholder_is_opened_among_the_others() {
+    let Some(assets) = akrobat_model::fixtures::shared_assets() else { return };
+    let flat = assets.join("scenes/infinigen_kitchen_1");
+    let folder = tempfile::tempdir().unwrap();
+    let home = folder.path().join("home");
+    let at = |path: PathBuf| path.display().to_string();
+    let (glb, state) = (at(flat.join("scene.glb")), at(flat.join("solve_state.json")));
+    let (objects, output) = (at(assets.join("objects")), at(home.clone()));
+    let (code, report) = json(&[
+        "import",
+        "infinigen",
+        &glb,
+        "--state",
+        &state,
+        "--objects",
+        &objects,
+        "-o",
+        &output,
+    ]);
+    assert_eq!(code, 0, "{report:#}");
+    let task =
+        |name: &str| std::fs::read_to_string(home.join(format!("tasks/{name}.toml"))).unwrap();
+    // Its racks come first in its description, and are behind its door.
+    assert!(task("dishwasher_dishwasher").contains("joint = \"door_joint_0\""));
+    let oven = task("oven_oven");
+    assert!(oven.contains("remove = [\"oven_oven\"]"), "{oven}");
+    let furnished = std::fs::read_to_string(home.join("furnished.urdf")).unwrap();
+    let alone = std::fs::read_to_string(home.join("scene.urdf")).unwrap();
+    for twin in ["oven_oven", "dishwasher_dishwasher", "refrigerator_refrigerator"] {
+        let link = format!("<link name=\"{twin}\"");
+        assert!(furnished.contains(&link) && !alone.contains(&link), "{twin}");
+    }
+    let (file, result) = (at(home.join("tasks/oven_oven.toml")), at(folder.path().join("t.h5")));
+    let (_, planned) = json(&["--quiet", "plan", &file, "-o", &result, "--limit", "1"]);
+    assert_eq!(planned["counts"]["accepted"], 1, "{planned:#}");
+}

@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use akrobat_assets::import::layout::{self, tree_bounds};
+use akrobat_assets::import::twin::{FURNISHED_FILE, twin_name};
 use akrobat_assets::import::{ImportedObject, ImportedScene, PlacedObject};
 use akrobat_assets::robot::DemoRobot;
 use akrobat_model::pose::to_xyz_wxyz;
@@ -72,18 +73,19 @@ pub fn for_scene(
         let name = layout::file_name(&scene.name);
         let robot = robot_file(folder, "../", robot)?;
         let text = format!(
-            "name = \"{name}_{}\"\n\n{robot}\n[scene]\nname = \"{name}\"\nfile = \"../scene.urdf\"\n\n{tables}",
-            object.name
+            "name = \"{name}_{}\"\n\n{robot}\n[scene]\nname = \"{name}\"\nfile = \"../{FURNISHED_FILE}\"\n# The static twin of the object.\nremove = [{:?}]\n\n{tables}",
+            object.name,
+            twin_name(scene, &object.name),
         );
         files.push(write(&tasks.join(format!("{}.toml", object.name)), &text)?);
     }
     Ok(files)
 }
 
-/// The `[object]` and `[goal]` tables: its joint that moves the most of it outwards is opened.
+/// The `[object]` and `[goal]` tables.
 fn object_tables(object: &ImportedObject, place: &str, pose: &Pose) -> Option<String> {
     let tree = &object.tree;
-    let joint = tree.joints().iter().find(|joint| opens(joint))?;
+    let joint = joint_to_open(tree)?;
     let goals: Vec<String> =
         SHARES.map(|share| format!("{:.4}", share * way(joint))).into_iter().collect();
     let pose = to_xyz_wxyz(pose).map(|value| format!("{value:.6}")).join(", ");
@@ -99,6 +101,22 @@ fn object_tables(object: &ImportedObject, place: &str, pose: &Pose) -> Option<St
         handle_link(tree, joint, object),
         goals.join(", ")
     ))
+}
+
+/// The joint with the largest face to the front, +x: a dishwasher's door, not the racks that it hides.
+fn joint_to_open(tree: &KinematicTree) -> Option<&Joint> {
+    let poses = tree.link_poses(&Pose::identity(), &tree.neutral());
+    let face_m2 = |joint: &Joint| {
+        let link = &tree.links()[joint.child];
+        let parts = if link.visuals.is_empty() { &link.collisions } else { &link.visuals };
+        let bounds = layout::parts_bounds(parts.iter().map(|part| (poses[joint.child], part)));
+        bounds.map_or(0.0, |(low, high)| (high.y - low.y) * (high.z - low.z))
+    };
+    let candidates = tree.joints().iter().filter(|joint| opens(joint));
+    let faces = candidates.map(|joint| (joint, face_m2(joint)));
+    // Of equal ones the first.
+    let largest = faces.reduce(|best, next| if next.1 > best.1 { next } else { best });
+    largest.map(|(joint, _)| joint)
 }
 
 fn opens(joint: &Joint) -> bool {

@@ -1,7 +1,8 @@
 //! Our layout on disk: `<name>.urdf`, `meshes/`, `object.json` or `scene.json`.
 //!
 //! A folder appears under its final name only when it is whole. In a scene, bodies that stand still
-//! are the links of `scene.urdf`, and what has joints is a folder of its own under `objects/`.
+//! are the links of `scene.urdf`, and what has joints is a folder of its own under `objects/`, with a
+//! static twin in `furnished.urdf`.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -17,6 +18,7 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use super::obj::ObjWriter;
+use super::twin::write_furnished;
 use super::{ImportedObject, ImportedScene, PlacedObject};
 use crate::error::{AssetError, make_folder, write_file};
 
@@ -93,6 +95,9 @@ pub fn write_scene(folder: &Path, scene: &ImportedScene) -> Result<Value, AssetE
             let folder = fresh.join("objects").join(&placed.object.name);
             make_folder(&folder)?;
             fill_object(&folder, &placed.object, &object_manifest(&placed.object))?;
+        }
+        if !scene.objects.is_empty() {
+            write_furnished(fresh, scene)?;
         }
         write_file(&fresh.join("scene.json"), format!("{manifest:#}\n"))
     })?;

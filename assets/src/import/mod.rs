@@ -21,6 +21,7 @@ pub mod procthor;
 pub mod robot;
 pub mod sdf;
 mod split;
+pub mod twin;
 pub mod variant;
 mod xml;
 

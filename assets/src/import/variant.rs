@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 use super::ground::{Ground, Rectangle};
 use super::layout::{fixed, tree_bounds};
 use super::read_text;
+use super::twin::static_twin;
 use crate::error::{AssetError, make_folder, write_file};
 use crate::object::{self, GeneratedObject, ObjectClass, ObjectRequest, palette_of};
 use crate::room::TaskRobot;
@@ -469,27 +470,4 @@ fn shared_links(base: &Base) -> Vec<Link> {
         }
     }
     links
-}
-
-/// A closed object as one rigid link, of the files that were written for it.
-fn static_twin(folder: &Path, name: &str) -> Result<Link, AssetError> {
-    let place = format!("objects/{name}");
-    let path = folder.join(&place).join(format!("{name}.urdf"));
-    let (tree, _) = urdf::read(&path, &AssetSearch::default())?;
-    let poses = tree.link_poses(&Pose::identity(), &tree.neutral());
-    let mut twin = Link { name: name.into(), ..Link::default() };
-    for (link, root_from_link) in tree.links().iter().zip(poses) {
-        let moved = |part: &akrobat_model::Part| {
-            let mut part = part.clone();
-            part.link_from_part = root_from_link * part.link_from_part;
-            if let Shape::Mesh { source, .. } = &mut part.shape {
-                *source = format!("{place}/{source}");
-            }
-            part.name = format!("{}_{}", link.name, part.name);
-            part
-        };
-        twin.visuals.extend(link.visuals.iter().map(moved));
-        twin.collisions.extend(link.collisions.iter().map(moved));
-    }
-    Ok(twin)
 }
