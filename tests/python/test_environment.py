@@ -100,10 +100,14 @@ def test_replay_scores_what_its_audit_says_and_chance_nothing(
     with open(out / "trials.csv", newline="") as table:
         rows = list(csv.DictReader(table))
     assert [row["trajectory"] for row in rows] == [f"{drawer_file.name}:{i}" for i in (0, 1)]
+    assert all(float(row["opened_fraction_max"]) > 0.9 for row in rows)
+    assert all(float(row["handle_distance_end_m"]) < 0.1 for row in rows)
     assert (out / "summary.svg").read_text().startswith("<svg")
     assert (out / "success_000.mp4").stat().st_size > 1000
-    result = evaluate("--policy", "random", "--trials", 1, "-o", tmp_path / "random", *common)
+    chance = tmp_path / "random"
+    result = evaluate("--policy", "random", "--trials", 1, "-o", chance, "--videos", 1, *common)
     assert json.loads(result.stdout)["success_rate"] == 0.0
+    assert [path.name for path in chance.glob("*.mp4")] == ["failure_000.mp4"]
 
 
 def test_own_policies_are_called(
