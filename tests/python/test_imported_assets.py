@@ -6,6 +6,7 @@ import json
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -33,6 +34,27 @@ def succeed(*arguments: object) -> dict[str, Any]:
 
 #: Arm, carrier with its mounts, and where a fixed base stands before the drawers.
 COMPOSITIONS: dict[str, tuple[str, list[str], str]] = {
+    "panda on a Summit XL": (
+        "panda_description/urdf/panda.urdf",
+        [
+            "--mount-on",
+            "SUMMIT",
+            "--mount-link",
+            "base_footprint",
+            "--mount-xyz=-0.127,0.012,0.465",
+        ],
+        "",
+    ),
+    # A box of the Ridgeback's size: no package that tests may depend on has its URDF.
+    "two UR5 on a Ridgeback": (
+        "ur_description/urdf/ur5_robot.urdf",
+        [
+            *("--mount-on", "box:0.96,0.793,0.311", "--base", "holonomic"),
+            *("--mount-xyz", "0.25,0.2,0", "--mount-xyz", "0.25,-0.2,0"),
+            *("--mount-prefix", "left_", "--mount-prefix", "right_"),
+        ],
+        "",
+    ),
     "panda on a platform": (
         "panda_description/urdf/panda.urdf",
         ["--mount-on", str(PLATFORM), "--mount-xyz", "0.2,0,0.52", "--base", "holonomic"],
@@ -55,10 +77,30 @@ COMPOSITIONS: dict[str, tuple[str, list[str], str]] = {
 }
 
 
+def summit_alone(robot: Path, folder: Path) -> Path:
+    """The base of the shared Summit XL with a Panda, without the Panda."""
+    description = ElementTree.parse(robot / "summit_xl_franka.urdf")
+    root = description.getroot()
+    names = [link.attrib["name"] for link in root.findall("link")]
+    arm = {n for n in names if n.startswith(("panda_", "ee_", "right_gripper")) or n == "base_link"}
+    for part in list(root):
+        child = part.find("child")
+        if part.attrib["name"] in arm or (child is not None and child.attrib["link"] in arm):
+            root.remove(part)
+    description.write(folder / "summit.urdf")
+    return folder / "summit.urdf"
+
+
 @pytest.mark.parametrize("name", COMPOSITIONS)
-def test_composed_robots_open_a_drawer(name: str, tmp_path: Path) -> None:
+def test_composed_robots_open_a_drawer(name: str, shared_assets: Path, tmp_path: Path) -> None:
     arm, carrier, pose = COMPOSITIONS[name]
-    report = succeed("import", "robot", robots() / arm, *carrier, "-o", tmp_path / "robot")
+    shared = shared_assets / "robots" / "summit_xl_franka"
+    summit = str(summit_alone(shared, tmp_path))
+    carrier = [summit if word == "SUMMIT" else word for word in carrier]
+    report = succeed(
+        *("import", "robot", robots() / arm, *carrier, "--assets", shared),
+        *("-o", tmp_path / "robot"),
+    )
     assert 50 <= report["sphere_count"] <= 120, report["sphere_count"]
     assert report["coverage"] > 0.9
     assert report["lost"] == []
