@@ -237,6 +237,7 @@ fn with_job<T: Send>(
         variant: &variant,
         unfit: &unfit,
         look: Look::new(request)?,
+        rig_has_fitted: false,
         backend: backend.name().to_owned(),
         observer: context.observer,
     };
@@ -351,6 +352,9 @@ pub(super) struct Job<'a> {
     /// Why episodes are left out, by position.
     pub unfit: &'a BTreeMap<usize, String>,
     pub look: Look,
+    /// Whether the rig has fitted other trajectories: where it does not fit, episodes are left out and the rig is not
+    /// refused.
+    pub rig_has_fitted: bool,
     /// Name of the renderer that draws.
     pub backend: String,
     pub observer: &'a dyn Observer,
@@ -375,8 +379,12 @@ impl Job<'_> {
 
     /// Refuses rigs that do not even fit the first of the trajectories at these positions.
     pub fn check_placement(&self, selected: &[usize]) -> Result<(), Error> {
-        let check = |&first| self.variant.check_placement(self.source, first);
-        selected.first().map_or(Ok(()), check)
+        match selected.first() {
+            Some(&first) if !self.rig_has_fitted => {
+                self.variant.check_placement(self.source, first)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Renders the trajectories at these positions into writers that stay open. `on_batch` is called after

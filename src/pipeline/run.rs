@@ -218,7 +218,9 @@ pub fn run(request: &RunRequest, context: &Context<'_>) -> Result<RunReport, Err
                 let folder =
                     combination.request.output.join(name).join(combination.names.join("-"));
                 let output = combination.output(&source, &selected, file, &folder);
-                let target = Target { source: &source, selected: &selected, folder: &folder };
+                let rig_has_fitted = outputs.iter().any(|done: &RunOutput| done.rig == output.rig);
+                let (source, selected) = (&source, &selected[..]);
+                let target = Target { source, selected, folder: &folder, rig_has_fitted };
                 let backend = backend.as_mut();
                 outputs.push(if request.dry_run {
                     combination.expect(&target, output, backend, context)?
@@ -350,6 +352,8 @@ struct Target<'a> {
     source: &'a Source,
     selected: &'a [usize],
     folder: &'a Path,
+    /// Whether a file before was rendered with the same rig.
+    rig_has_fitted: bool,
 }
 
 impl Combination {
@@ -379,7 +383,7 @@ impl Combination {
     fn job<'a>(
         &'a self,
         request: &'a RenderRequest,
-        source: &'a Source,
+        target: &Target<'a>,
         scene: &'a RenderScene,
         unfit: &'a BTreeMap<usize, String>,
         backend: &dyn Backend,
@@ -387,11 +391,12 @@ impl Combination {
     ) -> Result<Job<'a>, Error> {
         Ok(Job {
             request,
-            source,
+            source: target.source,
             scene,
             variant: &self.variant,
             unfit,
             look: Look::new(request)?,
+            rig_has_fitted: target.rig_has_fitted,
             backend: backend.name().to_owned(),
             observer: context.observer,
         })
@@ -405,9 +410,9 @@ impl Combination {
         context: &Context<'_>,
     ) -> Result<RunOutput, Error> {
         let request = RenderRequest { output: target.folder.to_path_buf(), ..self.request.clone() };
-        let (source, scene) = (target.source, self.variant.lit(&target.source.scene));
+        let scene = self.variant.lit(&target.source.scene);
         let unfit = BTreeMap::new();
-        let job = self.job(&request, source, &scene, &unfit, backend, context)?;
+        let job = self.job(&request, target, &scene, &unfit, backend, context)?;
         let report = job.run(target.selected, backend)?;
         Ok(RunOutput { report: Some(report), ..output })
     }
@@ -420,10 +425,13 @@ impl Combination {
         backend: &mut dyn Backend,
         context: &Context<'_>,
     ) -> Result<RunOutput, Error> {
-        let (source, scene) = (target.source, self.variant.lit(&target.source.scene));
+        let scene = self.variant.lit(&target.source.scene);
         let unfit = BTreeMap::new();
-        let job = self.job(&self.request, source, &scene, &unfit, backend, context)?;
-        self.variant.check_placement(source, target.selected[0])?;
+        let job = self.job(&self.request, target, &scene, &unfit, backend, context)?;
+        if let Err(refused) = self.variant.check_placement(target.source, target.selected[0]) {
+            // Its episodes will be left out.
+            return if target.rig_has_fitted { Ok(output) } else { Err(refused) };
+        }
         let temporary = tempfile::tempdir()
             .map_err(|e| Error::Failed(format!("cannot make a temporary folder: {e}")))?;
         // The first time, meshes are cut into clusters and buffers grow.

@@ -18,6 +18,7 @@ import zarr
 from test_readers import EXPORTS, act_policy, diffusion_policy
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+RIG = REPOSITORY / "tests" / "rigs" / "small.toml"
 TASK = REPOSITORY / "configs" / "tasks" / "summit_drawer_empty.toml"
 SEEN = ("observation.state", "observation.images.ego_wrist")
 STEPS = 20
@@ -73,7 +74,7 @@ def assets() -> Path:
 def tried(policy: str, assets: Path, folder: Path, *more: object) -> subprocess.CompletedProcess:
     command = [sys.executable, "-W", "ignore", "-m", "akrobat", "eval", TASK, "--policy", policy]
     command += ["--trajectories", EXPORTS / "summit.h5", "--trials", 1, "-o", folder / "trials"]
-    command += ["--rig", EXPORTS / "rig.toml", "--assets", assets, "--json", *more]
+    command += ["--rig", RIG, "--assets", assets, "--json", *more]
     environment = {**os.environ, "POINT_POLICY": str(folder / "weights.pt")}
     return subprocess.run(
         list(map(str, command)),
@@ -158,9 +159,7 @@ def test_actions_are_those_of_the_checkpoint(assets: Path, tmp_path: Path) -> No
     from lerobot.policies.factory import make_pre_post_processors
 
     saved = checkpoint(act_policy, tmp_path)
-    env = OpenObjectEnv(
-        [TASK], trajectories=[EXPORTS / "summit.h5"], rig=EXPORTS / "rig.toml", assets=[assets]
-    )
+    env = OpenObjectEnv([TASK], trajectories=[EXPORTS / "summit.h5"], rig=RIG, assets=[assets])
     observation, info = env.reset(seed=0)
     ours = LeRobotPolicy(tmp_path, env)
     ours.reset(observation, info)
