@@ -5,7 +5,6 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::drawing::Drawing;
-use super::shade::{LANES, Lanes};
 use super::view::{Transform, View};
 use crate::clusters::ClusteredScene;
 use crate::lighting::{Reflection, Source, WorldLight};
@@ -150,21 +149,35 @@ impl<'a> CameraLights<'a> {
         std::array::from_fn(|i| self.middle_rgb[i] + self.half_difference_rgb[i] * upward)
     }
 
-    /// Light on surfaces with unit normals `n`, where it depends on nothing else.
+    /// Linear RGB that surfaces of this albedo with unit normals `n` send anywhere, where light depends on nothing else.
     #[inline(always)]
-    pub fn on_lanes(&self, n: [Lanes; 3], directions: &[([f32; 3], [f32; 3])]) -> [Lanes; 3] {
-        let along = |to: [f32; 3], i: usize| n[0][i] * to[0] + n[1][i] * to[1] + n[2][i] * to[2];
-        let mut light = [[0.0; LANES]; 3];
-        for i in 0..LANES {
-            let ambient = self.ambient(along(self.up, i));
-            (0..3).for_each(|channel| light[channel][i] = ambient[channel]);
+    pub fn diffused<const N: usize>(
+        &self,
+        albedo: &[[f32; N]; 3],
+        n: &[[f32; N]; 3],
+        directions: &[([f32; 3], [f32; 3])],
+    ) -> [[f32; N]; 3] {
+        let along = |to: &[f32; 3]| {
+            let mut cosine = [0.0; N];
+            for i in 0..N {
+                cosine[i] = n[0][i] * to[0] + n[1][i] * to[1] + n[2][i] * to[2];
+            }
+            cosine
+        };
+        let upward = along(&self.up);
+        let mut light = [[0.0; N]; 3];
+        for channel in 0..3 {
+            let (middle, half) = (self.middle_rgb[channel], self.half_difference_rgb[channel]);
+            (0..N).for_each(|i| light[channel][i] = middle + half * upward[i]);
         }
         for (to_light, rgb) in directions {
-            for i in 0..LANES {
-                let facing = along(*to_light, i);
-                let facing = if facing > 0.0 { facing } else { 0.0 };
-                (0..3).for_each(|channel| light[channel][i] += rgb[channel] * facing);
+            let facing = along(to_light).map(|cosine| if cosine > 0.0 { cosine } else { 0.0 });
+            for channel in 0..3 {
+                (0..N).for_each(|i| light[channel][i] += rgb[channel] * facing[i]);
             }
+        }
+        for channel in 0..3 {
+            (0..N).for_each(|i| light[channel][i] *= albedo[channel][i]);
         }
         light
     }

@@ -12,6 +12,8 @@ mod light;
 mod occlusion;
 mod raster;
 mod shade;
+mod surface;
+mod texture;
 mod view;
 mod visibility;
 

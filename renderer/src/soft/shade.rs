@@ -1,13 +1,13 @@
 //! Computes depth, colour and segment of every pixel from its nearest triangle.
 //!
-//! Row by row: runs of pixels that show the same triangle first get its depth, normal and albedo, block by block; then the whole
-//! row gets its light. Lanes are arrays, which the compiler turns into vector instructions.
+//! Row by row: runs of pixels that show the same triangle first get its depth, normal and albedo, block by block; then all
+//! of them that lie side by side get their light. Lanes are arrays, which the compiler turns into vector instructions.
 
 use std::ops::Range;
 
-use akrobat_model::{Material, TriMesh};
-
 use super::light::{CameraLights, Reflector};
+use super::surface::{Look, Surface, Surfaces, Varying};
+use super::texture;
 use super::view::{Transform, View};
 use super::visibility::Visibility;
 use crate::RenderScene;
@@ -41,7 +41,8 @@ pub(super) struct Shading<'a> {
 }
 
 impl Shading<'_> {
-    /// Fills the images. Pixels whose value in [`Visibility::triangle`] is at most `known` keep what the images have.
+    /// Fills the images. Pixels that show nothing, or whose value in [`Visibility::triangle`] is at most `known`, keep what
+    /// the images have.
     pub fn fill(&self, images: &mut Images<'_>, known: Option<u32>) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
@@ -61,123 +62,28 @@ impl Shading<'_> {
     #[inline(always)]
     fn fill_inline(&self, images: &mut Images<'_>, known: Option<u32>) {
         let (width, stride) = (self.view.width, self.view.stride);
+        let known = known.unwrap_or(0);
         let mut row = Row::new(self.view);
         let mut surfaces = Surfaces::new();
-        for v in self.view.rows.clone() {
-            let place = v - self.view.rows.start;
+        for (place, v) in self.view.rows.clone().enumerate() {
             let triangles = &self.visibility.triangle[place * stride..][..width];
-            let is_new = |value: &u32| known.is_none_or(|known| *value > known);
-            let Some(first) = triangles.iter().position(is_new) else { continue };
-            let last = triangles.iter().rposition(is_new).unwrap_or(first);
-            let columns = first..last + 1;
             row.ray_y = self.view.ray(1, v);
-            let mut start = columns.start;
-            while start < columns.end {
-                let value = triangles[start];
-                let run = triangles[start..columns.end].iter().position(|&other| other != value);
-                let end = run.map_or(columns.end, |length| start + length);
-                if value == 0 {
-                    row.depth[start..end].fill(0.0);
-                    row.segment[start..end].fill(0);
-                } else if is_new(&value) {
-                    row.add_run(self, surfaces.get(self, value), start..end);
+            let mut next = 0;
+            while let Some(skipped) = triangles[next..].iter().position(|&value| value > known) {
+                let start = next + skipped;
+                next = start;
+                while next < width && triangles[next] > known {
+                    let value = triangles[next];
+                    let length = triangles[next..].iter().position(|&other| other != value);
+                    let end = length.map_or(width, |length| next + length);
+                    row.add_run(self, surfaces.get(self, value), next..end);
+                    next = end;
                 }
-                start = end;
-            }
-            self.light(&mut row, columns.clone());
-            self.encode(&mut row, columns.clone());
-            let at = place * width;
-            let pixels = at + columns.start..at + columns.end;
-            let triangles = &triangles[columns.clone()];
-            if known.is_none() {
-                images.depth_m[pixels.clone()].copy_from_slice(&row.depth[columns.clone()]);
-                images.segmentation[pixels.clone()].copy_from_slice(&row.segment[columns.clone()]);
-            } else {
-                let depths =
-                    images.depth_m[pixels.clone()].iter_mut().zip(&row.depth[columns.clone()]);
-                let segments = images.segmentation[pixels.clone()].iter_mut();
-                let segments = segments.zip(&row.segment[columns.clone()]);
-                for ((value, depth), segment) in triangles.iter().zip(depths).zip(segments) {
-                    if is_new(value) {
-                        *depth.0 = *depth.1;
-                        *segment.0 = *segment.1;
-                    }
-                }
-            }
-            let colors = images.rgb[3 * pixels.start..3 * pixels.end].as_chunks_mut::<3>().0;
-            for ((color, value), u) in colors.iter_mut().zip(triangles).zip(columns.clone()) {
-                if *value != 0 && is_new(value) {
-                    *color = row.rgb.each_ref().map(|channel| channel[u]);
-                }
-            }
-            if let Some(normals) = images.normals.get_mut(pixels) {
-                for ((normal, value), u) in normals.iter_mut().zip(triangles).zip(columns) {
-                    if *value != 0 && is_new(value) {
-                        let n = row.normal.each_ref().map(|axis| axis[u]);
-                        *normal = self.world_from_camera.rotate(n);
-                    }
-                }
+                row.finish(self);
+                row.copy_to(images, self, start..next, place * width);
             }
         }
     }
-
-    /// Makes the row's normals unit vectors that face the eye, and computes colours (linear RGB).
-    #[inline(always)]
-    fn light(&self, row: &mut Row, columns: Range<usize>) {
-        for start in columns.clone().step_by(LANES) {
-            let ray_x: Lanes = block(&row.rays_x, start);
-            let mut n = row.normal.each_ref().map(|axis| block(axis, start));
-            for i in 0..LANES {
-                let square = n[0][i] * n[0][i] + n[1][i] * n[1][i] + n[2][i] * n[2][i];
-                let scale = if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 };
-                let along = n[0][i] * ray_x[i] + n[1][i] * row.ray_y + n[2][i];
-                let scale = if along > 0.0 { -scale } else { scale };
-                (0..3).for_each(|axis| n[axis][i] *= scale);
-            }
-            for axis in 0..3 {
-                row.normal[axis][start..start + LANES].copy_from_slice(&n[axis]);
-            }
-            if let Some(directions) = &self.lights.directions {
-                let light = self.lights.on_lanes(n, directions);
-                for channel in 0..3 {
-                    let albedo: Lanes = block(&row.albedo[channel], start);
-                    for i in 0..LANES {
-                        row.color[channel][start + i] = albedo[i] * light[channel][i];
-                    }
-                }
-            }
-        }
-        if self.lights.directions.is_some() {
-            return;
-        }
-        for u in columns.filter(|&u| row.depth[u] > 0.0) {
-            let reflector = Reflector {
-                albedo: row.albedo.each_ref().map(|channel| channel[u]),
-                metallic: row.metallic[u],
-                roughness: row.roughness[u],
-            };
-            let point = [row.rays_x[u], row.ray_y, 1.0].map(|ray| ray * row.depth[u]);
-            let normal = row.normal.each_ref().map(|axis| axis[u]);
-            let color = self.lights.reflected(&reflector, point, normal);
-            (0..3).for_each(|channel| row.color[channel][u] = color[channel]);
-        }
-    }
-
-    /// Colours as levels.
-    #[inline(always)]
-    fn encode(&self, row: &mut Row, columns: Range<usize>) {
-        for (levels, colors) in row.rgb.iter_mut().zip(&row.color) {
-            for start in columns.clone().step_by(LANES) {
-                let encoded = self.srgb.encode_lanes(&block(colors, start));
-                levels[start..start + LANES].copy_from_slice(&encoded);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn block(values: &[f32], start: usize) -> Lanes {
-    std::array::from_fn(|i| values[start + i])
 }
 
 /// What is known of a row's pixels. All lists are longer than the row by [`LANES`], so that blocks may reach beyond it: what comes
@@ -190,296 +96,196 @@ struct Row {
     segment: Vec<u16>,
     /// Camera frame.
     normal: [Vec<f32>; 3],
-    /// Linear RGB, likewise [`Self::color`].
+    /// Linear RGB.
     albedo: [Vec<f32>; 3],
     metallic: Vec<f32>,
     roughness: Vec<f32>,
-    color: [Vec<f32>; 3],
     /// sRGB.
-    rgb: [Vec<u8>; 3],
+    rgb: Vec<[u8; 3]>,
+    /// Pixels whose light is yet to be computed.
+    unlit: Range<usize>,
 }
 
 impl Row {
     fn new(view: &View) -> Self {
-        let lanes = || vec![0.0; view.width + LANES];
+        let length = view.width + LANES;
+        let lanes = || vec![0.0; length];
         Self {
-            rays_x: (0..view.width + LANES).map(|u| view.ray(0, u)).collect(),
+            rays_x: (0..length).map(|u| view.ray(0, u)).collect(),
             ray_y: 0.0,
             depth: lanes(),
-            segment: vec![0; view.width + LANES],
+            segment: vec![0; length],
             normal: std::array::from_fn(|_| lanes()),
             albedo: std::array::from_fn(|_| lanes()),
             metallic: lanes(),
             roughness: lanes(),
-            color: std::array::from_fn(|_| lanes()),
-            rgb: std::array::from_fn(|_| vec![0; view.width + LANES]),
+            rgb: vec![[0; 3]; length],
+            unlit: 0..0,
         }
     }
 
-    /// Pixels that show the same surface.
+    /// Pixels that show the same surface, to the right of all others so far.
     #[inline(always)]
     fn add_run(&mut self, shading: &Shading<'_>, surface: &Surface<'_>, columns: Range<usize>) {
         self.segment[columns.clone()].fill(surface.segment);
-        if shading.lights.directions.is_none() {
-            self.metallic[columns.clone()].fill(surface.material.metallic);
-            self.roughness[columns.clone()].fill(surface.material.roughness);
-        }
-        let base = surface.material.base_color;
-        for start in columns.clone().step_by(LANES) {
-            let lanes = start..start + LANES;
-            let ray_x = block(&self.rays_x, start);
-            let depth = surface.depth(&ray_x, self.ray_y, shading.view.far);
-            self.depth[lanes.clone()].copy_from_slice(&depth);
-            if surface.texture.is_none() && surface.is_flat {
-                for axis in 0..3 {
-                    self.normal[axis][lanes.clone()].fill(surface.normals[0][axis]);
-                    self.albedo[axis][lanes.clone()].fill(base[axis]);
+        match &surface.look {
+            Look::Uniform { rgb, normal } => {
+                self.finish(shading);
+                for start in columns.clone().step_by(LANES) {
+                    self.add_depth(shading, surface, start);
                 }
-                continue;
-            }
-            let weights = surface.weights(&ray_x, self.ray_y, &depth);
-            for axis in 0..3 {
-                let values = surface.normals.map(|normal| normal[axis]);
-                let normal =
-                    if surface.is_flat { [values[0]; LANES] } else { mix(values, &weights) };
-                self.normal[axis][lanes.clone()].copy_from_slice(&normal);
-            }
-            let Some(texture) = surface.texture else {
-                for channel in 0..3 {
-                    self.albedo[channel][lanes.clone()].fill(base[channel]);
+                self.rgb[columns.clone()].fill(*rgb);
+                for (values, &value) in self.normal.iter_mut().zip(normal) {
+                    values[columns.clone()].fill(value);
                 }
-                continue;
-            };
-            let uv = std::array::from_fn(|axis| mix(surface.uvs.map(|uv| uv[axis]), &weights));
-            let count = LANES.min(columns.end - start);
-            let texel = sample(texture, uv, count, shading.srgb);
-            for channel in 0..3 {
-                let albedo = texel[channel].map(|value| base[channel] * value);
-                self.albedo[channel][lanes.clone()].copy_from_slice(&albedo);
+            }
+            Look::Varying(varying) => {
+                if self.unlit.is_empty() {
+                    self.unlit.start = columns.start;
+                }
+                self.unlit.end = columns.end;
+                self.add_varying(shading, surface, varying, columns);
             }
         }
     }
-}
-
-/// Surfaces that were looked up last: neighbouring rows mostly show the same.
-struct Surfaces<'a> {
-    kept: Vec<(u32, Option<Surface<'a>>)>,
-}
-
-impl<'a> Surfaces<'a> {
-    /// A power of two.
-    const COUNT: u32 = 256;
-
-    fn new() -> Self {
-        Self { kept: (0..Self::COUNT).map(|_| (0, None)).collect() }
-    }
 
     #[inline(always)]
-    fn get(&mut self, shading: &Shading<'a>, value: u32) -> &Surface<'a> {
-        let place = value.wrapping_mul(0x9E37_79B1) >> (u32::BITS - Self::COUNT.ilog2());
-        let (kept, surface) = &mut self.kept[place as usize];
-        if *kept != value {
-            *kept = value;
-            *surface = None;
-        }
-        match surface {
-            Some(surface) => surface,
-            None => surface.insert(Surface::new(shading, value)),
-        }
-    }
-}
-
-/// A triangle ready to be evaluated at pixels.
-struct Surface<'a> {
-    segment: u16,
-    material: &'a Material,
-    /// Where the mesh has texture coordinates.
-    texture: Option<&'a image::RgbaImage>,
-    /// Plane `normal . p = offset`, camera frame.
-    normal: [f64; 3],
-    offset: f64,
-    nearest: f32,
-    farthest: f32,
-    /// First corner, camera frame.
-    origin: [f32; 3],
-    /// `dot(p - origin, gradient[i])` is the weight of corner i + 1 at a point p of the plane.
-    gradient: [[f32; 3]; 2],
-    /// Whether the normal is the same on the whole triangle.
-    is_flat: bool,
-    /// Normals of the corners, camera frame, of any length and side.
-    normals: [[f32; 3]; 3],
-    /// Texture coordinates of the corners.
-    uvs: [[f32; 2]; 3],
-}
-
-impl<'a> Surface<'a> {
-    #[inline(always)]
-    fn new(shading: &Shading<'a>, value: u32) -> Self {
-        let Shading { view, scene, clusters, visibility, .. } = shading;
-        let (drawn, index) = visibility.lookup(value);
-        let instance = &clusters.instances[drawn.instance as usize];
-        let cluster = &instance.mesh.clusters[drawn.cluster as usize];
-        let triangle = instance.mesh.triangles[cluster.triangles.start + index];
-        let mesh: &TriMesh = &instance.mesh.mesh;
-        let body = &scene.bodies[instance.body];
-        let material = &body.materials[instance.part];
-        let camera_from_body = &view.camera_from_body[instance.body];
-        let corners = mesh.triangles[triangle.source as usize].map(|vertex| vertex as usize);
-        let p = triangle.corners.map(|corner| {
-            let vertex = drawn.first_vertex as usize + usize::from(corner);
-            visibility.position.each_ref().map(|axis| axis[vertex])
-        });
-        let exact = p.map(|p| p.map(f64::from));
-        let (e1, e2) = (subtract(exact[1], exact[0]), subtract(exact[2], exact[0]));
-        let normal = cross(e1, e2);
-        let square = dot64(normal, normal);
-        let inverse_square = if square > 0.0 { 1.0 / square } else { 0.0 };
-        let (is_flat, normals) = if mesh.normals.len() == mesh.positions.len() {
-            let [a, b, c] = corners.map(|vertex| mesh.normals[vertex]);
-            (a == b && a == c, [a, b, c].map(|n| camera_from_body.rotate(n)))
-        } else {
-            let scale = inverse_square.sqrt();
-            (true, [normal.map(|c| (c * scale) as f32); 3])
-        };
-        let has_uvs = mesh.uvs.len() == mesh.positions.len();
-        let texture = material.base_color_texture.as_deref().filter(|t| has_uvs && !t.is_empty());
-        Self {
-            segment: body.segment_id,
-            texture,
-            uvs: if texture.is_some() { corners.map(|v| mesh.uvs[v]) } else { [[0.0; 2]; 3] },
-            material,
-            offset: dot64(normal, exact[0]),
-            nearest: p[0][2].min(p[1][2]).min(p[2][2]).max(view.near),
-            farthest: p[0][2].max(p[1][2]).max(p[2][2]),
-            origin: p[0],
-            gradient: [cross(e2, normal), cross(normal, e1)]
-                .map(|g| g.map(|c| (c * inverse_square) as f32)),
-            is_flat,
-            normals,
-            normal,
-        }
-    }
-
-    /// Depth (metres) where the rays `(x, y, 1)` meet the triangle.
-    #[inline(always)]
-    fn depth(&self, ray_x: &Lanes, ray_y: f32, far: f32) -> Lanes {
-        let [nx, ny, nz] = self.normal;
-        let ny_y = ny * f64::from(ray_y);
-        let mut depth = [0.0; LANES];
-        for i in 0..LANES {
-            let exact = (self.offset / (nx * f64::from(ray_x[i]) + ny_y + nz)) as f32;
-            // Coverage is decided on the grid, so the ray may just miss the triangle: stay within its depths.
-            let near = if exact < self.farthest { exact } else { self.farthest };
-            let depth_m = if near > self.nearest { near } else { self.nearest };
-            depth[i] = if depth_m < far { depth_m } else { far };
-        }
+    fn add_depth(&mut self, shading: &Shading<'_>, surface: &Surface<'_>, start: usize) -> Lanes {
+        let depth = surface.depth(&block(&self.rays_x, start), self.ray_y, shading.view.far);
+        set_block(&mut self.depth, start, &depth);
         depth
     }
 
-    /// Weights of the corners at points of the plane, kept within the triangle.
     #[inline(always)]
-    fn weights(&self, ray_x: &Lanes, ray_y: f32, depth: &Lanes) -> [Lanes; 3] {
-        let mut weights = [[0.0; LANES]; 3];
-        let [g, h] = self.gradient;
-        for i in 0..LANES {
-            let x = ray_x[i] * depth[i] - self.origin[0];
-            let y = ray_y * depth[i] - self.origin[1];
-            let z = depth[i] - self.origin[2];
-            let second = within(x * g[0] + y * g[1] + z * g[2], 1.0);
-            let third = within(x * h[0] + y * h[1] + z * h[2], 1.0 - second);
-            weights[0][i] = 1.0 - second - third;
-            weights[1][i] = second;
-            weights[2][i] = third;
+    fn add_varying(
+        &mut self,
+        shading: &Shading<'_>,
+        surface: &Surface<'_>,
+        varying: &Varying<'_>,
+        columns: Range<usize>,
+    ) {
+        let material = varying.material;
+        if shading.lights.directions.is_none() {
+            self.metallic[columns.clone()].fill(material.metallic);
+            self.roughness[columns.clone()].fill(material.roughness);
         }
-        weights
-    }
-}
-
-/// A value kept from 0 to `most`; 0 for what is not a number.
-#[inline(always)]
-fn within(value: f32, most: f32) -> f32 {
-    let value = if value > 0.0 { value } else { 0.0 };
-    if value < most { value } else { most }
-}
-
-/// Values of three corners, weighted.
-#[inline(always)]
-fn mix(values: [f32; 3], weights: &[Lanes; 3]) -> Lanes {
-    let mut mixed = [0.0; LANES];
-    for i in 0..LANES {
-        mixed[i] =
-            values[0] * weights[0][i] + values[1] * weights[1][i] + values[2] * weights[2][i];
-    }
-    mixed
-}
-
-/// Bilinear samples, the first `count` of them, in linear RGB with repeat wrapping.
-#[inline(always)]
-fn sample(
-    texture: &image::RgbaImage,
-    uv: [Lanes; 2],
-    count: usize,
-    srgb: &SrgbTables,
-) -> [Lanes; 3] {
-    let size = [texture.width() as i32, texture.height() as i32];
-    let (mut low, mut high) = ([[0i32; LANES]; 2], [[0i32; LANES]; 2]);
-    let mut fraction = [[0.0f32; LANES]; 2];
-    for axis in 0..2 {
-        for i in 0..LANES {
-            let wrapped = uv[axis][i] - uv[axis][i].floor();
-            // Not a number becomes zero.
-            let wrapped = if wrapped >= 0.0 { wrapped } else { 0.0 };
-            let place = wrapped * size[axis] as f32 - 0.5;
-            let first = place.floor();
-            let at = first as i32;
-            let at = if at < 0 { size[axis] - 1 } else { at };
-            low[axis][i] = if at >= size[axis] { 0 } else { at };
-            high[axis][i] = if low[axis][i] + 1 == size[axis] { 0 } else { low[axis][i] + 1 };
-            fraction[axis][i] = place - first;
-        }
-    }
-    // All texels are asked for before any is used: most wait for memory.
-    let texels = texture.as_raw().as_chunks::<4>().0;
-    let mut fetched = [[[0u8; 4]; LANES]; 4];
-    for i in 0..count {
-        let rows = [low[1][i], high[1][i]].map(|row| row as usize * size[0] as usize);
-        let columns = [low[0][i], high[0][i]].map(|column| column as usize);
-        fetched[0][i] = texels[rows[0] + columns[0]];
-        fetched[1][i] = texels[rows[0] + columns[1]];
-        fetched[2][i] = texels[rows[1] + columns[0]];
-        fetched[3][i] = texels[rows[1] + columns[1]];
-    }
-    let mut corners = [[[0.0f32; LANES]; 3]; 4];
-    for (corner, texels) in corners.iter_mut().zip(&fetched) {
-        for (i, texel) in texels.iter().enumerate().take(count) {
-            for channel in 0..3 {
-                corner[channel][i] = srgb.decode(texel[channel]);
+        for start in columns.clone().step_by(LANES) {
+            let depth = self.add_depth(shading, surface, start);
+            let ray_x = block(&self.rays_x, start);
+            let weights = varying.weights(&ray_x, self.ray_y, &depth);
+            for (normal, value) in self.normal.iter_mut().zip(varying.normal(&weights)) {
+                set_block(normal, start, &value);
+            }
+            let [red, green, blue, _] = material.base_color.map(|base| [base; LANES]);
+            let mut albedo = [red, green, blue];
+            if let Some(texture) = varying.texture {
+                let count = LANES.min(columns.end - start);
+                let texel = texture::sample(texture, varying.uv(&weights), count, shading.srgb);
+                for (albedo, texel) in albedo.iter_mut().zip(texel) {
+                    (0..LANES).for_each(|i| albedo[i] *= texel[i]);
+                }
+            }
+            for (values, albedo) in self.albedo.iter_mut().zip(&albedo) {
+                set_block(values, start, albedo);
             }
         }
     }
-    let mut sampled = [[0.0; LANES]; 3];
-    for channel in 0..3 {
-        let [a, b, c, d] = corners.map(|corner| corner[channel]);
-        for i in 0..LANES {
-            let top = a[i] + (b[i] - a[i]) * fraction[0][i];
-            let bottom = c[i] + (d[i] - c[i]) * fraction[0][i];
-            sampled[channel][i] = top + (bottom - top) * fraction[1][i];
+
+    /// Computes the light of pixels that are still without.
+    #[inline(always)]
+    fn finish(&mut self, shading: &Shading<'_>) {
+        let columns = std::mem::take(&mut self.unlit);
+        for start in columns.clone().step_by(LANES) {
+            let ray_x = block(&self.rays_x, start);
+            let normal = self.normal.each_ref().map(|axis| block(axis, start));
+            let mut away = [false; LANES];
+            for i in 0..LANES {
+                let along = normal[0][i] * ray_x[i] + normal[1][i] * self.ray_y + normal[2][i];
+                away[i] = along > 0.0;
+            }
+            let normal = unit_normals(normal, away);
+            for (values, value) in self.normal.iter_mut().zip(&normal) {
+                set_block(values, start, value);
+            }
+            let albedo = self.albedo.each_ref().map(|channel| block(channel, start));
+            let color = match &shading.lights.directions {
+                Some(directions) => shading.lights.diffused(&albedo, &normal, directions),
+                None => self.reflected(shading, start..(start + LANES).min(columns.end)),
+            };
+            let levels = color.map(|channel| shading.srgb.encode_lanes(&channel));
+            let rgb = &mut self.rgb[start..start + LANES];
+            for (i, rgb) in rgb.iter_mut().enumerate() {
+                *rgb = levels.each_ref().map(|channel| channel[i]);
+            }
         }
     }
-    sampled
+
+    /// Linear RGB of at most [`LANES`] pixels under lights that need their places.
+    #[inline(always)]
+    fn reflected(&self, shading: &Shading<'_>, columns: Range<usize>) -> [Lanes; 3] {
+        let mut colors = [[0.0; LANES]; 3];
+        for (i, u) in columns.enumerate() {
+            let reflector = Reflector {
+                albedo: self.albedo.each_ref().map(|channel| channel[u]),
+                metallic: self.metallic[u],
+                roughness: self.roughness[u],
+            };
+            let point = [self.rays_x[u], self.ray_y, 1.0].map(|ray| ray * self.depth[u]);
+            let normal = self.normal.each_ref().map(|axis| axis[u]);
+            let color = shading.lights.reflected(&reflector, point, normal);
+            (0..3).for_each(|channel| colors[channel][i] = color[channel]);
+        }
+        colors
+    }
+
+    /// Copies pixels to the images, in which the row begins at `first`.
+    #[inline(always)]
+    fn copy_to(
+        &self,
+        images: &mut Images<'_>,
+        shading: &Shading<'_>,
+        columns: Range<usize>,
+        first: usize,
+    ) {
+        let pixels = first + columns.start..first + columns.end;
+        images.depth_m[pixels.clone()].copy_from_slice(&self.depth[columns.clone()]);
+        images.segmentation[pixels.clone()].copy_from_slice(&self.segment[columns.clone()]);
+        images.rgb.as_chunks_mut().0[pixels.clone()].copy_from_slice(&self.rgb[columns.clone()]);
+        if let Some(normals) = images.normals.get_mut(pixels) {
+            for (normal, u) in normals.iter_mut().zip(columns) {
+                let in_camera = self.normal.each_ref().map(|axis| axis[u]);
+                *normal = shading.world_from_camera.rotate(in_camera);
+            }
+        }
+    }
+}
+
+/// Unit vectors along normals of any length, or against those that point `away` from the eye.
+#[inline(always)]
+pub(super) fn unit_normals<const N: usize>(
+    mut normals: [[f32; N]; 3],
+    away: [bool; N],
+) -> [[f32; N]; 3] {
+    let n = &mut normals;
+    for i in 0..N {
+        let square = n[0][i] * n[0][i] + n[1][i] * n[1][i] + n[2][i] * n[2][i];
+        let scale = if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 };
+        let scale = if away[i] { -scale } else { scale };
+        n[0][i] *= scale;
+        n[1][i] *= scale;
+        n[2][i] *= scale;
+    }
+    normals
 }
 
 #[inline(always)]
-fn dot64(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+fn block(values: &[f32], start: usize) -> Lanes {
+    let mut lanes = [0.0; LANES];
+    lanes.copy_from_slice(&values[start..start + LANES]);
+    lanes
 }
 
 #[inline(always)]
-fn subtract(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-#[inline(always)]
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+fn set_block(values: &mut [f32], start: usize, lanes: &Lanes) {
+    values[start..start + LANES].copy_from_slice(lanes);
 }
