@@ -147,10 +147,10 @@ class SapienRenderer:
                 self._read(camera, self._planes[index], rgb[frame], depth[frame], segment[frame])
         return images
 
-    def _add_camera(self, camera: Camera) -> Any:
-        shaders = Path(self._sapien.__file__).parent / "vulkan_shader" / "minimal"
+    def _add_camera(self, camera: Camera, shaders: str = "minimal") -> Any:
+        folder = Path(self._sapien.__file__).parent / "vulkan_shader" / shaders
         component = self._sapien.render.RenderCameraComponent(
-            camera["width"], camera["height"], str(shaders)
+            camera["width"], camera["height"], str(folder)
         )
         (fx, skew, cx), (_, fy, cy), _ = camera["K"]
         component.set_perspective_parameters(

@@ -19,6 +19,14 @@ import numpy as np
 import pytest
 from akrobat import sapien_backend
 from akrobat.exporters import traj_data
+from image_agreement import (
+    DEPTH_TOLERANCE_MM,
+    LEAST_AGREEMENT,
+    LEAST_BODY_PIXELS,
+    LEAST_INNER,
+    LEAST_IOU,
+    inner_pixels,
+)
 from numpy.typing import NDArray
 
 ROBOTS = Path(__file__).parents[2] / "configs" / "robots"
@@ -29,15 +37,8 @@ CASES = [
 ]
 WIDTH, HEIGHT = 480, 360
 INTERVAL_S = 1 / 30
-# Tolerances, as `renderer/src/compare.rs` defines them.
-DEPTH_TOLERANCE_MM = 2
 NORMAL_TOLERANCE_RAD = 0.02
-LEAST_AGREEMENT = 0.99
-LEAST_INNER = 0.85
-LEAST_IOU = 0.97
-LEAST_BODY_PIXELS = 500
 LEAST_SSIM = 0.99
-FLATNESS_M = 0.01
 
 RIG = f"""
 name = "side"
@@ -127,21 +128,7 @@ class OwnNormals(sapien_backend.SapienRenderer):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.taken.clear()
-        self._normal_cameras = [self._with_default_shaders(camera) for camera in arguments[1]]
-
-    def _with_default_shaders(self, camera: sapien_backend.Camera) -> Any:
-        shaders = Path(self._sapien.__file__).parent / "vulkan_shader" / "default"
-        component = self._sapien.render.RenderCameraComponent(
-            camera["width"], camera["height"], str(shaders)
-        )
-        (fx, skew, cx), (_, fy, cy), _ = camera["K"]
-        component.set_perspective_parameters(
-            camera["near_m"], camera["far_m"], fx, fy, cx, cy, skew
-        )
-        entity = self._sapien.Entity()
-        entity.add_component(component)
-        self._scene.add_entity(entity)
-        return component
+        self._normal_cameras = [self._add_camera(camera, "default") for camera in arguments[1]]
 
     def _read(self, camera: Any, *images: Any) -> None:
         super()._read(camera, *images)
@@ -181,18 +168,10 @@ def render(
     return run
 
 
-def inner_pixels(images: Images) -> NDArray[np.bool_]:
-    """Pixels away from silhouettes: one body around them, on a surface that is flat there."""
-    depth_mm, segments = images["depth"], images["segmentation"]
-    inner, depth = depth_mm > 0, np.maximum(depth_mm, 1) / 1000.0
-    for axis in (1, 2):
-        before, after = np.roll(segments, 1, axis), np.roll(segments, -1, axis)
-        inner &= (before == segments) & (after == segments)
-        bend = np.roll(1 / depth, 1, axis) - 2 / depth + np.roll(1 / depth, -1, axis)
-        inner &= np.abs(bend) * depth**2 < FLATNESS_M
-    inner[:, [0, -1], :] = False
-    inner[:, :, [0, -1]] = False
-    return inner
+def inner_of_both(reference: Images, other: Images) -> NDArray[np.bool_]:
+    """Pixels away from the silhouettes of either."""
+    inner, others = (inner_pixels(i["depth"], i["segmentation"]) for i in (reference, other))
+    return inner & others
 
 
 def least_overlap(reference: Images, other: Images) -> float:
@@ -208,7 +187,7 @@ def least_overlap(reference: Images, other: Images) -> float:
 
 def shape_violation(reference: Images, other: Images) -> str | None:
     """How depth or segmentation differ by more than the tolerances; `None` where they do not."""
-    inner = inner_pixels(reference) & inner_pixels(other)
+    inner = inner_of_both(reference, other)
     if inner.mean() < LEAST_INNER:
         return f"only {inner.mean():.1%} of the pixels are compared"
     near = np.abs(reference["depth"] - other["depth"])[inner] <= DEPTH_TOLERANCE_MM
@@ -220,7 +199,7 @@ def shape_violation(reference: Images, other: Images) -> str | None:
 
 def normal_agreement(reference: Images, other: Images) -> float:
     """Share of the inner pixels of both whose normals agree."""
-    inner = inner_pixels(reference) & inner_pixels(other)
+    inner = inner_of_both(reference, other)
     cosine = np.einsum("...i,...i->...", reference["normals"], other["normals"])[inner]
     return float((cosine >= np.cos(NORMAL_TOLERANCE_RAD)).mean())
 

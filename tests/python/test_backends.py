@@ -8,17 +8,18 @@ from pathlib import Path
 import akrobat
 import numpy as np
 import pytest
+from image_agreement import (
+    DEPTH_TOLERANCE_MM,
+    LEAST_AGREEMENT,
+    LEAST_BODY_PIXELS,
+    LEAST_INNER,
+    LEAST_IOU,
+    inner_pixels,
+)
 from numpy.typing import NDArray
 
 FRAMES = slice(None, None, 40)
 CAMERAS = ["ego_topdown", "ego_wrist", "fixed"]
-# Tolerances, as `renderer/src/compare.rs` defines them.
-DEPTH_TOLERANCE_MM = 2
-LEAST_AGREEMENT = 0.99
-LEAST_INNER = 0.85
-LEAST_IOU = 0.97
-LEAST_BODY_PIXELS = 500
-FLATNESS_M = 0.01
 
 Images = tuple[NDArray[np.int32], NDArray[np.uint16]]
 
@@ -28,20 +29,6 @@ def images(episode: akrobat.Episode, camera: str) -> Images:
     depth = episode[f"camera_obs/{camera}_depth"][FRAMES, ..., 0]
     segments = episode[f"camera_obs/{camera}_segmentation"][FRAMES, ..., 0]
     return depth.astype(np.int32), segments
-
-
-def inner_pixels(depth_mm: NDArray[np.int32], segments: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Pixels away from silhouettes: one body around them, on a surface that is flat there."""
-    inner = depth_mm > 0
-    depth = np.maximum(depth_mm, 1) / 1000.0
-    for axis in (1, 2):
-        before, after = np.roll(segments, 1, axis), np.roll(segments, -1, axis)
-        inner &= (before == segments) & (after == segments)
-        bend = np.roll(1 / depth, 1, axis) - 2 / depth + np.roll(1 / depth, -1, axis)
-        inner &= np.abs(bend) * depth**2 < FLATNESS_M
-    inner[:, [0, -1], :] = False
-    inner[:, :, [0, -1]] = False
-    return inner
 
 
 def violation(reference: Images, other: Images) -> str | None:
