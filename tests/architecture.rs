@@ -7,13 +7,14 @@ use std::process::Command;
 
 /// Each crate and the project's crates that it may depend on.
 const ALLOWED: &[(&str, &[&str])] = &[
+    ("akrobat-simd", &[]),
     ("akrobat-model", &[]),
     ("akrobat-gpu", &[]),
     ("akrobat-cameras", &["akrobat-model"]),
-    ("akrobat-planner", &["akrobat-model", "akrobat-gpu"]),
+    ("akrobat-planner", &["akrobat-model", "akrobat-gpu", "akrobat-simd"]),
     ("akrobat-judge", &["akrobat-model"]),
     ("akrobat-assets", &["akrobat-model"]),
-    ("akrobat-renderer", &["akrobat-model", "akrobat-cameras", "akrobat-gpu"]),
+    ("akrobat-renderer", &["akrobat-model", "akrobat-cameras", "akrobat-gpu", "akrobat-simd"]),
     ("akrobat-packager", &["akrobat-model", "akrobat-cameras"]),
 ];
 

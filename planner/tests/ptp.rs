@@ -7,13 +7,13 @@ mod common;
 
 use akrobat_model::{Pose, Robot};
 use akrobat_planner::collision::{MovingCheck, RobotBody};
-use akrobat_planner::kernels::lanes::Simd;
 use akrobat_planner::kernels::obstacles::{Obstacles, Solid};
 use akrobat_planner::kernels::validity::Validity;
 use akrobat_planner::kinematics::{Frame, Kinematics};
 use akrobat_planner::ptp::{Domain, NoPath, Query, RobotSpace, Settings};
 use akrobat_planner::world::World;
 use akrobat_planner::{PlannerConfig, Preparation};
+use akrobat_simd::Simd;
 use common::numbers;
 use nalgebra::{Rotation3, Vector3};
 use rand::RngExt;

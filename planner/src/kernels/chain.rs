@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::lanes::{Lanes, Row, sin_cos, xyz};
 use super::obstacles::Points;
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, Motion};
+use akrobat_simd::{Lanes, Row, sin_cos, xyz};
 
 /// A configuration in single precision; entries beyond the robot's variables are zero.
 pub type Config = [f32; MAX_VARIABLES];

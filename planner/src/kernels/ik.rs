@@ -9,12 +9,10 @@
 use nalgebra::Vector3;
 
 use super::chain::{CompiledJoint, Config, FrameRows, compile, load, place, turned};
-#[cfg(target_arch = "x86_64")]
-use super::lanes::Avx2;
-use super::lanes::{Array, LANES, Lanes, Row, Simd, xyz};
 use super::obstacles::Points;
 use crate::ik::Tool;
 use crate::kinematics::{Frame, Kinematics, MAX_VARIABLES, Motion};
+use akrobat_simd::{Kernel, LANES, Lanes, Row, Simd, run, xyz};
 
 /// Sum of the squared errors (m, rad) at which a seed has converged.
 pub(crate) const CONVERGED: f32 = 1e-8;
@@ -99,22 +97,9 @@ impl BatchIk {
 
     /// Moves the tool to `target` from each of `seeds`. The results are in the order of the seeds.
     pub fn solve(&self, target: &Frame, seeds: &[Config]) -> Vec<Solved> {
-        let mut out = match self.simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => {
-                // SAFETY: this variant is only chosen where the processor has AVX2.
-                unsafe { self.solve_avx2(target, seeds) }
-            }
-            _ => self.solve_in::<Array>(target, seeds),
-        };
+        let mut out = run(self.simd, Solve { batch: self, target, seeds });
         out.sort_unstable_by_key(|solved| solved.seed);
         out
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn solve_avx2(&self, target: &Frame, seeds: &[Config]) -> Vec<Solved> {
-        self.solve_in::<Avx2>(target, seeds)
     }
 
     #[inline(always)]
@@ -259,6 +244,22 @@ impl BatchIk {
                 (column[k] * free).store(&mut work.jacobian[slot][k]);
             }
         }
+    }
+}
+
+/// [`BatchIk::solve`].
+struct Solve<'a> {
+    batch: &'a BatchIk,
+    target: &'a Frame,
+    seeds: &'a [Config],
+}
+
+impl Kernel for Solve<'_> {
+    type Output = Vec<Solved>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Vec<Solved> {
+        self.batch.solve_in::<L>(self.target, self.seeds)
     }
 }
 

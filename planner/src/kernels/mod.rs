@@ -2,7 +2,6 @@
 
 pub(crate) mod chain;
 pub mod ik;
-pub mod lanes;
 pub mod obstacles;
 pub mod validity;
 

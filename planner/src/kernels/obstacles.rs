@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::lanes::{LANES, Lanes, Row, xyz};
 use crate::esdf::Esdf;
 use crate::kinematics::Frame;
+use akrobat_simd::{LANES, Lanes, Row, xyz};
 
 /// A solid with its own frame.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,12 +9,10 @@ use nalgebra::Vector3;
 
 pub use super::chain::Config;
 use super::chain::{CompiledJoint, FrameRows, compile, load, place, store};
-#[cfg(target_arch = "x86_64")]
-use super::lanes::Avx2;
-use super::lanes::{Array, LANES, Lanes, Row, Simd, xyz};
 use super::obstacles::{Near, Obstacles, Points};
 use crate::kinematics::{Frame, Kinematics};
 use crate::spheres::Sphere;
+use akrobat_simd::{Kernel, LANES, Lanes, Row, Simd, run, xyz};
 
 /// Room for what single precision rounds away, metres.
 const ROUNDING_M: f64 = 1e-5;
@@ -181,49 +179,7 @@ impl Validity {
         obstacles: &Obstacles<'_>,
         scratch: &mut Scratch,
     ) -> bool {
-        match self.simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => {
-                // SAFETY: this variant is only chosen where the processor has AVX2.
-                unsafe { self.edge_is_free_avx2(from, to, count, obstacles, scratch) }
-            }
-            _ => self.edge_is_free_in::<Array>(from, to, count, obstacles, scratch),
-        }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn edge_is_free_avx2(
-        &self,
-        from: &Config,
-        to: &Config,
-        count: usize,
-        obstacles: &Obstacles<'_>,
-        scratch: &mut Scratch,
-    ) -> bool {
-        self.edge_is_free_in::<Avx2>(from, to, count, obstacles, scratch)
-    }
-
-    #[inline(always)]
-    fn edge_is_free_in<L: Lanes>(
-        &self,
-        from: &Config,
-        to: &Config,
-        count: usize,
-        obstacles: &Obstacles<'_>,
-        scratch: &mut Scratch,
-    ) -> bool {
-        let stride = count.div_ceil(LANES);
-        for offset in (1..=stride).rev() {
-            let mut along = Row::default();
-            for (lane, value) in along.0.iter_mut().enumerate() {
-                *value = (lane * stride + offset).min(count) as f32 / count as f32;
-            }
-            if self.collides::<L>(from, to, L::load(&along), obstacles, scratch) {
-                return false;
-            }
-        }
-        true
+        run(self.simd, EdgeIsFree { robot: self, from, to, count, obstacles, scratch })
     }
 
     /// True where any of eight configurations on an edge collides.
@@ -389,6 +345,36 @@ impl Validity {
             let centers = place::<L>(&scratch.frames[slot], &self.spheres[sphere].center);
             store(centers, &mut scratch.spheres[sphere]);
         }
+    }
+}
+
+/// [`Validity::edge_is_free`].
+struct EdgeIsFree<'a, 'b> {
+    robot: &'a Validity,
+    from: &'a Config,
+    to: &'a Config,
+    count: usize,
+    obstacles: &'a Obstacles<'b>,
+    scratch: &'a mut Scratch,
+}
+
+impl Kernel for EdgeIsFree<'_, '_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> bool {
+        let Self { robot, from, to, count, obstacles, scratch } = self;
+        let stride = count.div_ceil(LANES);
+        for offset in (1..=stride).rev() {
+            let mut along = Row::default();
+            for (lane, value) in along.0.iter_mut().enumerate() {
+                *value = (lane * stride + offset).min(count) as f32 / count as f32;
+            }
+            if robot.collides::<L>(from, to, L::load(&along), obstacles, scratch) {
+                return false;
+            }
+        }
+        true
     }
 }
 

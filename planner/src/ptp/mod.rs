@@ -129,7 +129,7 @@ fn exact_ends(path: &[Config], start: &[f64], goal: &[f64]) -> Vec<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernels::lanes::Simd;
+    use akrobat_simd::Simd;
 
     /// A square whose points are checked one by one.
     struct Square {

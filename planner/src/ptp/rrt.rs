@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 
 use super::tree::Tree;
 use super::{Domain, Edges, Settings, mix};
-use crate::kernels::lanes::Simd;
 use crate::kernels::validity::Config;
 use crate::kinematics::MAX_VARIABLES;
+use akrobat_simd::Simd;
 
 /// A path as the search leaves it.
 pub(super) struct Connection {

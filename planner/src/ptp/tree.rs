@@ -1,10 +1,8 @@
 //! A tree of configurations that is searched eight nodes at a time.
 
-#[cfg(target_arch = "x86_64")]
-use crate::kernels::lanes::Avx2;
-use crate::kernels::lanes::{Array, LANES, Lanes, Row, Simd, least};
 use crate::kernels::validity::Config;
 use crate::kinematics::MAX_VARIABLES;
+use akrobat_simd::{Kernel, LANES, Lanes, Row, Simd, least, run};
 
 /// Coordinate of the places of a block that hold no node yet: farther than any node.
 const NOWHERE: f32 = 1e18;
@@ -63,21 +61,8 @@ impl Tree {
 
     /// The nearest node (the first of equals) and its weighted distance.
     pub(super) fn nearest(&self, target: &Config) -> (usize, f32) {
-        let (squared, index) = match self.simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => {
-                // SAFETY: this variant is only chosen where the processor has AVX2.
-                unsafe { self.nearest_avx2(target) }
-            }
-            _ => self.nearest_in::<Array>(target),
-        };
+        let (squared, index) = run(self.simd, Nearest { tree: self, target });
         (index, squared.sqrt())
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn nearest_avx2(&self, target: &Config) -> (f32, usize) {
-        self.nearest_in::<Avx2>(target)
     }
 
     #[inline(always)]
@@ -108,6 +93,21 @@ impl Tree {
             path.push(self.node(at));
         }
         path
+    }
+}
+
+/// [`Tree::nearest`].
+struct Nearest<'a> {
+    tree: &'a Tree,
+    target: &'a Config,
+}
+
+impl Kernel for Nearest<'_> {
+    type Output = (f32, usize);
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> (f32, usize) {
+        self.tree.nearest_in::<L>(self.target)
     }
 }
 

@@ -1,7 +1,9 @@
 //! Eight `f32` at a time: AVX2 where the processor has it, plain arrays elsewhere.
 //!
 //! Both do the same IEEE operations in the same order (no fused multiply-add), so that every kernel gives
-//! the same bits with either.
+//! the same bits with either. A loop is written once, as a [`Kernel`] over [`Lanes`], and compiled twice;
+//! [`run`] chooses. Loops over arrays that the compiler is left to vectorise are slower: its minimum and maximum
+//! take not-a-number into account, with three instructions for one.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -11,10 +13,14 @@ pub const LANES: usize = 8;
 /// Eight numbers in memory, aligned for one load.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(C, align(32))]
-pub struct Row(pub [f32; LANES]);
+pub struct Row(
+    /// Lane by lane.
+    pub [f32; LANES],
+);
 
 /// `[f(0), f(1), f(2)]` written out: the compiler does not always inline closures into functions that are
 /// compiled for other processors than the closure.
+#[macro_export]
 macro_rules! xyz {
     ($i:ident => $value:expr) => {
         [
@@ -33,7 +39,6 @@ macro_rules! xyz {
         ]
     };
 }
-pub(crate) use xyz;
 
 /// Which implementation runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,25 +60,62 @@ impl Simd {
     }
 }
 
-/// Eight numbers in registers.
-pub(crate) trait Lanes:
+/// A loop over [`Lanes`], for [`run`].
+pub trait Kernel {
+    /// What it computes.
+    type Output;
+
+    /// Computes it; must be `#[inline(always)]`, as must all that it calls, or nothing is compiled for the lanes' processor.
+    fn run<L: Lanes>(self) -> Self::Output;
+}
+
+/// Runs a kernel in the lanes asked for, or in portable ones where the processor lacks those.
+#[inline]
+pub fn run<K: Kernel>(simd: Simd, kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    if simd == Simd::Avx2 && std::arch::is_x86_feature_detected!("avx2") {
+        #[target_feature(enable = "avx2")]
+        fn wide<K: Kernel>(kernel: K) -> K::Output {
+            kernel.run::<Avx2>()
+        }
+        // SAFETY: the processor has AVX2.
+        return unsafe { wide(kernel) };
+    }
+    let _ = simd;
+    kernel.run::<Array>()
+}
+
+/// Eight numbers in registers. What minimum, maximum and comparisons make of not-a-number is unspecified.
+pub trait Lanes:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
+    /// The same number in all lanes.
     fn splat(value: f32) -> Self;
+    /// From memory.
     fn load(row: &Row) -> Self;
+    /// To memory.
     fn store(self, row: &mut Row);
+    /// The smaller ones.
     fn min(self, other: Self) -> Self;
+    /// The larger ones.
     fn max(self, other: Self) -> Self;
+    /// Absolute values.
     fn abs(self) -> Self;
+    /// Largest integers that are not larger.
     fn floor(self) -> Self;
+    /// Square roots.
     fn sqrt(self) -> Self;
     /// Bit i is set where lane i is less than that of `other`.
     fn less(self, other: Self) -> u32;
+    /// The smallest of the eight.
+    fn smallest(self) -> f32;
+    /// The largest of the eight.
+    fn largest(self) -> f32;
 }
 
 /// The portable implementation.
 #[derive(Clone, Copy)]
-pub(crate) struct Array([f32; LANES]);
+struct Array([f32; LANES]);
 
 impl Array {
     #[inline(always)]
@@ -164,10 +206,20 @@ impl Lanes for Array {
     fn less(self, other: Self) -> u32 {
         (0..LANES).fold(0, |mask, i| mask | u32::from(self.0[i] < other.0[i]) << i)
     }
+
+    #[inline(always)]
+    fn smallest(self) -> f32 {
+        self.0.iter().copied().fold(f32::INFINITY, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn largest(self) -> f32 {
+        self.0.iter().copied().fold(f32::NEG_INFINITY, |a, b| if a > b { a } else { b })
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(crate) use avx2::Avx2;
+use avx2::Avx2;
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
@@ -176,10 +228,10 @@ mod avx2 {
 
     use super::{Lanes, Row};
 
-    /// One 256-bit register. Values exist only inside functions compiled with AVX2, which run only where
-    /// [`super::Simd::detect`] has found it; every block below relies on that.
+    /// One 256-bit register. Values exist only inside kernels that [`super::run`] has found AVX2 for; every block below
+    /// relies on that.
     #[derive(Clone, Copy)]
-    pub(crate) struct Avx2(__m256);
+    pub(super) struct Avx2(__m256);
 
     impl Add for Avx2 {
         type Output = Self;
@@ -271,6 +323,28 @@ mod avx2 {
             // SAFETY: the processor has AVX2, see the type.
             unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
         }
+
+        #[inline(always)]
+        fn smallest(self) -> f32 {
+            // SAFETY: the processor has AVX2, see the type.
+            unsafe {
+                let upper = _mm256_extractf128_ps::<1>(self.0);
+                let four = _mm_min_ps(_mm256_castps256_ps128(self.0), upper);
+                let two = _mm_min_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_min_ss(two, _mm_movehdup_ps(two)))
+            }
+        }
+
+        #[inline(always)]
+        fn largest(self) -> f32 {
+            // SAFETY: the processor has AVX2, see the type.
+            unsafe {
+                let upper = _mm256_extractf128_ps::<1>(self.0);
+                let four = _mm_max_ps(_mm256_castps256_ps128(self.0), upper);
+                let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_max_ss(two, _mm_movehdup_ps(two)))
+            }
+        }
     }
 }
 
@@ -279,7 +353,7 @@ mod avx2 {
 /// The angle is brought to -pi..pi, a quarter of it goes through Taylor's series to the ninth and eighth
 /// power (below 4e-9 of truncation at pi / 4), and two doublings bring it back: no lane takes a branch.
 #[inline(always)]
-pub(crate) fn sin_cos<L: Lanes>(angle: L) -> (L, L) {
+pub fn sin_cos<L: Lanes>(angle: L) -> (L, L) {
     // 2 pi in two parts (Cody and Waite, *Software Manual for the Elementary Functions*, 1980).
     const TURN_HIGH: f32 = 6.281_25;
     const TURN_LOW: f32 = 0.001_935_307_2;
@@ -303,7 +377,7 @@ fn double_angle<L: Lanes>(sin: L, cos: L) -> (L, L) {
 
 /// Smallest of eight numbers and its lane; the first of equals.
 #[inline(always)]
-pub(crate) fn least(row: &Row) -> (f32, usize) {
+pub fn least(row: &Row) -> (f32, usize) {
     let mut best = (row.0[0], 0);
     for (lane, &value) in row.0.iter().enumerate().skip(1) {
         if value < best.0 {
@@ -321,16 +395,23 @@ mod tests {
         (0..400).map(|i| Row(std::array::from_fn(|l| (i * 8 + l) as f32 * 0.0125 - 20.0))).collect()
     }
 
-    #[inline(always)]
-    fn everything<L: Lanes>(a: &Row, b: &Row) -> ([Row; 11], u32) {
-        let (x, y) = (L::load(a), L::load(b));
-        let (sin, cos) = sin_cos(x);
-        let all = [x + y, x - y, x * y, x.min(y), x.max(y), x.abs(), x.floor(), sin, cos];
-        let mut out = [Row::default(); 11];
-        all.iter().zip(&mut out).for_each(|(value, row)| value.store(row));
-        x.abs().sqrt().store(&mut out[9]);
-        (x / y).store(&mut out[10]);
-        (out, x.less(y))
+    /// All operations on two rows.
+    struct Everything<'a>(&'a Row, &'a Row);
+
+    impl Kernel for Everything<'_> {
+        type Output = ([Row; 11], u32, [f32; 2]);
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            let (x, y) = (L::load(self.0), L::load(self.1));
+            let (sin, cos) = sin_cos(x);
+            let all = [x + y, x - y, x * y, x.min(y), x.max(y), x.abs(), x.floor(), sin, cos];
+            let mut out = [Row::default(); 11];
+            all.iter().zip(&mut out).for_each(|(value, row)| value.store(row));
+            x.abs().sqrt().store(&mut out[9]);
+            (x / y).store(&mut out[10]);
+            (out, x.less(y), [sin.smallest(), sin.largest()])
+        }
     }
 
     #[test]
@@ -348,31 +429,27 @@ mod tests {
     #[test]
     fn portable_gives_the_bits_of_scalar_arithmetic() {
         let rows = rows();
-        let (out, mask) = everything::<Array>(&rows[3], &rows[250]);
+        let (out, mask, ends) = run(Simd::Portable, Everything(&rows[3], &rows[250]));
         for i in 0..LANES {
             let (a, b) = (rows[3].0[i], rows[250].0[i]);
             let expected = [a + b, a - b, a * b, a.min(b), a.max(b), a.abs(), a.floor()];
             assert_eq!(expected, std::array::from_fn(|k| out[k].0[i]));
             assert_eq!(mask >> i & 1 == 1, a < b);
         }
+        let sines = out[7].0;
+        let expected = [sines.into_iter().reduce(f32::min), sines.into_iter().reduce(f32::max)];
+        assert_eq!(ends.map(Some), expected);
     }
 
-    #[cfg(target_arch = "x86_64")]
     #[test]
-    fn avx2_gives_the_bits_of_portable() {
-        #[target_feature(enable = "avx2")]
-        fn wide(a: &Row, b: &Row) -> ([Row; 11], u32) {
-            everything::<Avx2>(a, b)
-        }
-        if Simd::detect() != Simd::Avx2 {
-            return;
-        }
+    fn the_best_lanes_give_the_bits_of_portable_ones() {
         let rows = rows();
-        let bits = |(rows, mask): ([Row; 11], u32)| (rows.map(|r| r.0.map(f32::to_bits)), mask);
+        let bits = |simd, a, b| {
+            let (rows, mask, ends) = run(simd, Everything(a, b));
+            (rows.map(|r| r.0.map(f32::to_bits)), mask, ends.map(f32::to_bits))
+        };
         for (a, b) in rows.iter().zip(rows.iter().rev()) {
-            // SAFETY: the processor has AVX2.
-            let fast = unsafe { wide(a, b) };
-            assert_eq!(bits(fast), bits(everything::<Array>(a, b)));
+            assert_eq!(bits(Simd::detect(), a, b), bits(Simd::Portable, a, b));
         }
     }
 }
