@@ -1,6 +1,6 @@
 """Clouds of 4,096 points from three depth images, against fpsample and Open3D, in one run.
 
-    .venv/bin/pip install fpsample open3d
+    .venv/bin/pip install fpsample 'open3d<0.20'
     .venv/bin/python benchmarks/pointcloud.py --assets ASSETS
 
 A trajectory is planned and rendered; at some of its frames, the three cameras' depth images

@@ -177,6 +177,16 @@ fn tasks_that_could_not_be_loaded_are_tried_again() {
 }
 
 #[test]
+fn a_single_scene_says_how_much_floor_is_free() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("scenes").display().to_string();
+    let (_, set) = json(&["generate", "scene", "--count", "1", "-o", &output]);
+    let free = set["scenes"][0]["free_floor"].as_f64().unwrap();
+    assert!(free > 0.1, "{set:#}");
+    assert_eq!(set["free_floor"], serde_json::json!([free, free]));
+}
+
+#[test]
 fn wrong_scenes_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("scenes");

@@ -248,7 +248,10 @@ fn statistics(scenes: Vec<SceneEntry>) -> SceneSet {
     let order = |scene: &SceneEntry| scene.confinement.unwrap_or(-scene.free_floor);
     let middle = scenes.iter().map(order).sum::<f64>() / scenes.len().max(1) as f64;
     let mean = |confined: bool| {
-        let half = scenes.iter().filter(|s| (order(s) > middle) == confined);
+        let in_half = |s: &&SceneEntry| (order(s) > middle) == confined;
+        // Equally confined scenes, or a single one, are their own other half.
+        let both = !scenes.iter().any(|s| in_half(&s));
+        let half = scenes.iter().filter(|s| both || in_half(s));
         let shares: Vec<f64> = half.map(|s| s.free_floor).collect();
         rounded(shares.iter().sum::<f64>() / shares.len().max(1) as f64)
     };
