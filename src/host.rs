@@ -11,6 +11,37 @@ use akrobat_renderer::{Backend, RenderError};
 use crate::Error;
 use crate::pipeline::{EvalJob, ReplayJob, ViewJob};
 
+/// Which of SAPIEN's shaders make the colours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SapienShaders {
+    /// The fastest.
+    Minimal,
+    /// Deferred shading, ManiSkill's default for pictures.
+    Default,
+    /// Path tracing.
+    Rt,
+}
+
+impl SapienShaders {
+    /// SAPIEN's name of the pack.
+    pub fn pack(self) -> &'static str {
+        match self {
+            Self::Minimal => "minimal",
+            Self::Default => "default",
+            Self::Rt => "rt",
+        }
+    }
+
+    /// Name of the backend.
+    pub fn backend(self) -> &'static str {
+        match self {
+            Self::Minimal => "sapien",
+            Self::Default => "sapien-default",
+            Self::Rt => "sapien-rt",
+        }
+    }
+}
+
 /// A USD stage that was written as a URDF.
 #[derive(Debug, Clone)]
 pub struct ConvertedStage {
@@ -33,7 +64,7 @@ pub trait Host: Sync {
     ///
     /// # Errors
     /// [`RenderError::Device`] where SAPIEN is not installed or finds no usable Vulkan driver.
-    fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError>;
+    fn sapien_backend(&self, shaders: SapienShaders) -> Result<Box<dyn Backend>, RenderError>;
 
     /// Drives trajectories through physics. `sink` takes each episode as it ends, in any order, and
     /// returns whether to go on. Returns what the world was made of.

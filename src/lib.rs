@@ -15,4 +15,4 @@ pub mod resources;
 pub use cancel::CancelToken;
 pub use cli::run;
 pub use error::{Error, ExitCode};
-pub use host::{ConvertedStage, Host};
+pub use host::{ConvertedStage, Host, SapienShaders};

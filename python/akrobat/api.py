@@ -55,7 +55,7 @@ def render(
     trajectories: StrPath | _core.Trajectories,
     output: StrPath,
     *,
-    backend: Literal["auto", "soft", "wgpu", "sapien"] = "auto",
+    backend: Literal["auto", "soft", "wgpu", "sapien", "sapien-default", "sapien-rt"] = "auto",
     rig: StrPath = "paper",
     lighting: StrPath = "even",
     variation: StrPath | None = None,

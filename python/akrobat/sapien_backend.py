@@ -3,8 +3,9 @@
 The compiled half of the package calls :func:`require_sapien` once, makes one
 :class:`SapienRenderer` per scene and calls :meth:`SapienRenderer.render` once per batch of frames.
 Geometry follows the image model that all backends share (every triangle is opaque and seen from
-both sides, one sample per pixel centre), so depth and segmentation agree with theirs. Shading is
-SAPIEN's own: the same as theirs for Lambert reflection, constant ambient light and no shadows.
+both sides, one sample per pixel centre), so depth and segmentation agree with theirs; they are
+those of the `minimal` shaders, whichever make the colours. Shading is SAPIEN's own: the same as
+theirs for Lambert reflection, constant ambient light and no shadows.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Images = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
+
+# Of the path tracer. Its denoisers need a graphics card, and images should not depend on one.
+RAY_TRACING_SAMPLES = 32
+RAY_TRACING_DEPTH = 8
 
 # SAPIEN's camera looks along +x with z up; ours along +z with y down. `[qw qx qy qz]`.
 CAMERA_FROM_SAPIEN_CAMERA = (0.5, 0.5, -0.5, 0.5)
@@ -104,7 +109,16 @@ class SapienRenderer:
     `AKROBAT_SAPIEN_DEVICE` to any device string of SAPIEN's (`cpu`, `cuda:0`) to choose.
     """
 
-    def __init__(self, bodies: list[Body], cameras: list[Camera], lighting: Lighting) -> None:
+    def __init__(
+        self,
+        bodies: list[Body],
+        cameras: list[Camera],
+        lighting: Lighting,
+        shaders: str = "minimal",
+    ) -> None:
+        """
+        :param shaders: the pack that makes the colours: `minimal`, `default` or `rt`
+        """
         import sapien
 
         self._sapien = sapien
@@ -120,6 +134,13 @@ class SapienRenderer:
         add_lighting(self._scene, lighting)
         self._bodies = [add_body(self._scene, body) for body in bodies]
         self._cameras = [self._add_camera(camera) for camera in cameras]
+        self._color_cameras = self._cameras
+        if shaders == "rt":
+            sapien.render.set_ray_tracing_samples_per_pixel(RAY_TRACING_SAMPLES)
+            sapien.render.set_ray_tracing_path_depth(RAY_TRACING_DEPTH)
+            sapien.render.set_ray_tracing_denoiser("none")
+        if shaders != "minimal":
+            self._color_cameras = [self._add_camera(camera, shaders) for camera in cameras]
         self._planes = [(camera["near_m"], camera["far_m"]) for camera in cameras]
         self._segment_of_entity = self._segment_table(bodies)
 
@@ -138,13 +159,18 @@ class SapienRenderer:
         for frame in range(frames):
             for entity, pose in zip(self._bodies, world_from_body[frame], strict=True):
                 entity.set_pose(sapien_pose(pose))
-            for camera, pose in zip(self._cameras, world_from_camera[frame], strict=True):
-                camera.entity.set_pose(camera_pose(pose))
+            for group in (self._cameras, self._color_cameras):
+                for camera, pose in zip(group, world_from_camera[frame], strict=True):
+                    camera.entity.set_pose(camera_pose(pose))
             self._scene.update_render()
             for index, camera in enumerate(self._cameras):
                 camera.take_picture()
                 rgb, depth, segment = images[index]
-                self._read(camera, self._planes[index], rgb[frame], depth[frame], segment[frame])
+                self._read(camera, self._planes[index], depth[frame], segment[frame])
+                color_camera = self._color_cameras[index]
+                if color_camera is not camera:
+                    color_camera.take_picture()
+                rgb[frame] = self._color(color_camera, segment[frame] != 0)
         return images
 
     def _add_camera(self, camera: Camera, shaders: str = "minimal") -> Any:
@@ -172,19 +198,23 @@ class SapienRenderer:
         self,
         camera: Any,
         planes: tuple[float, float],
-        rgb: NDArray[np.uint8],
         depth_m: NDArray[np.float32],
         segment: NDArray[np.uint16],
     ) -> None:
         entity_id = camera.get_picture("PositionSegmentation")[..., 3]
         segment[:] = self._segment_of_entity[entity_id]
-        seen = segment != 0
         # The depth buffer rather than the position image, which counts whole millimetres.
-        depth_m[:] = np.where(seen, _z_depth(camera.get_picture("GbufferDepth"), *planes), 0.0)
+        z_depth = _z_depth(camera.get_picture("GbufferDepth"), *planes)
+        depth_m[:] = np.where(segment != 0, z_depth, 0.0)
+
+    def _color(self, camera: Any, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
         # SAPIEN encodes with a power of 2.2.
         linear = np.clip(camera.get_picture("Color")[..., :3], 0.0, 1.0) ** 2.2
         color = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        rgb[:] = np.where(seen[..., None], np.rint(color * 255.0), self._background)
+        rgb: NDArray[np.float64] = np.where(
+            seen[..., None], np.rint(color * 255.0), self._background
+        )
+        return rgb.astype(np.uint8)
 
 
 def sapien_pose(pose: NDArray[np.float64]) -> Any:

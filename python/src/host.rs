@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use akrobat::pipeline::{EvalJob, ReplayJob, ViewJob};
-use akrobat::{ConvertedStage, Error, Host};
+use akrobat::{ConvertedStage, Error, Host, SapienShaders};
 use akrobat_model::TrajectorySet;
 use akrobat_packager::audit_file::EpisodeAudit;
 use akrobat_packager::export::{ExportFormat, ExportHeader, Sink};
@@ -27,8 +27,8 @@ impl Host for PythonHost {
         .unwrap_or_default()
     }
 
-    fn sapien_backend(&self) -> Result<Box<dyn Backend>, RenderError> {
-        Ok(Box::new(SapienBackend::new()?))
+    fn sapien_backend(&self, shaders: SapienShaders) -> Result<Box<dyn Backend>, RenderError> {
+        Ok(Box::new(SapienBackend::new(shaders)?))
     }
 
     fn replay(

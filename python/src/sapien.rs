@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use akrobat::SapienShaders;
 use akrobat_cameras::CameraFrame;
 use akrobat_model::{Material, Pose, TriMesh, pose};
 use akrobat_renderer::lighting::{Light, Reflection, Shadow};
@@ -12,10 +13,9 @@ use numpy::{PyArray, PyArrayMethods, PyReadonlyArray3, PyReadonlyArray4};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-const BACKEND: &str = "sapien";
-
 /// Renders with SAPIEN, which keeps the last scene it was given.
 pub struct SapienBackend {
+    shaders: SapienShaders,
     loaded: Option<Loaded>,
 }
 
@@ -24,12 +24,12 @@ impl SapienBackend {
     ///
     /// # Errors
     /// Where SAPIEN is not installed.
-    pub fn new() -> Result<Self, RenderError> {
+    pub fn new(shaders: SapienShaders) -> Result<Self, RenderError> {
         Python::attach(|py| {
             py.import("akrobat.sapien_backend")?.call_method0("require_sapien").map(drop)
         })
-        .map_err(device_error)?;
-        Ok(Self { loaded: None })
+        .map_err(|error| device_error(shaders, error))?;
+        Ok(Self { shaders, loaded: None })
     }
 }
 
@@ -49,7 +49,7 @@ fn camera_key(camera: &PlacedCamera) -> CameraKey {
 
 impl Backend for SapienBackend {
     fn name(&self) -> &str {
-        BACKEND
+        self.shaders.backend()
     }
 
     fn render(
@@ -72,7 +72,7 @@ impl Backend for SapienBackend {
             let renderer = self.renderer(py, scene, cameras)?;
             render_batch(&renderer, frames)
         })
-        .map_err(device_error)
+        .map_err(|error| device_error(self.shaders, error))
     }
 }
 
@@ -92,7 +92,7 @@ impl SapienBackend {
         let loaded = match current {
             Some(loaded) => loaded,
             None => Loaded {
-                renderer: open_renderer(py, scene, &cameras)?.unbind(),
+                renderer: open_renderer(py, scene, &cameras, self.shaders)?.unbind(),
                 bodies: Arc::clone(&scene.bodies),
                 lighting: scene.lighting.clone(),
                 cameras,
@@ -108,6 +108,7 @@ fn open_renderer<'py>(
     py: Python<'py>,
     scene: &RenderScene,
     cameras: &[CameraKey],
+    shaders: SapienShaders,
 ) -> PyResult<Bound<'py, PyAny>> {
     let bodies = body_list(py, scene)?;
     let camera_list = PyList::empty(py);
@@ -125,6 +126,7 @@ fn open_renderer<'py>(
         bodies,
         camera_list,
         lighting,
+        shaders.pack(),
     ))
 }
 
@@ -271,6 +273,6 @@ fn render_batch(
     Ok(batch)
 }
 
-fn device_error(error: PyErr) -> RenderError {
-    RenderError::Device { backend: BACKEND, message: error.to_string() }
+fn device_error(shaders: SapienShaders, error: PyErr) -> RenderError {
+    RenderError::Device { backend: shaders.backend(), message: error.to_string() }
 }

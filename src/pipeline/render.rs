@@ -24,6 +24,7 @@ use serde_json::json;
 use super::episodes::EpisodeFilter;
 use super::{Context, folder_of, on_threads, share, simulated};
 use crate::Error;
+use crate::host::SapienShaders;
 
 /// The light of scenes for which nothing is said.
 pub(super) const DEFAULT_LIGHTING: &str = "even";
@@ -35,7 +36,7 @@ const STAGE: &str = "rendering";
 #[derive(
     Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum,
 )]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "kebab-case")]
 pub enum BackendChoice {
     /// `wgpu` where there is a graphics processor, else `soft`.
     #[default]
@@ -44,8 +45,13 @@ pub enum BackendChoice {
     Soft,
     /// The graphics processor, or a software Vulkan driver.
     Wgpu,
-    /// SAPIEN (needs the Python package).
+    /// SAPIEN's fastest shaders (needs the Python package).
     Sapien,
+    /// SAPIEN's deferred shaders, those of ManiSkill's pictures.
+    SapienDefault,
+    /// SAPIEN's path tracer, 32 samples a pixel: light from surface to surface; minutes an image without a
+    /// graphics card that traces rays.
+    SapienRt,
 }
 
 /// Which files hold the episodes.
@@ -803,17 +809,21 @@ pub(super) fn open_backend(
             Err(RenderError::Device { .. }) => Ok(Box::new(SoftBackend::new())),
             Err(error) => Err(error.into()),
         },
-        BackendChoice::Sapien => {
-            let host = context.host.ok_or_else(|| {
-                Error::Usage(
-                    "the sapien backend needs the Python package: \
-                     pip install 'akrobat[sapien]', then the same command with its `akrobat`"
-                        .into(),
-                )
-            })?;
-            Ok(host.sapien_backend()?)
-        }
+        BackendChoice::Sapien => open_sapien(SapienShaders::Minimal, context),
+        BackendChoice::SapienDefault => open_sapien(SapienShaders::Default, context),
+        BackendChoice::SapienRt => open_sapien(SapienShaders::Rt, context),
     }
+}
+
+fn open_sapien(shaders: SapienShaders, context: &Context<'_>) -> Result<Box<dyn Backend>, Error> {
+    let host = context.host.ok_or_else(|| {
+        Error::Usage(
+            "the sapien backends need the Python package: \
+             pip install 'akrobat[sapien]', then the same command with its `akrobat`"
+                .into(),
+        )
+    })?;
+    Ok(host.sapien_backend(shaders)?)
 }
 
 /// The URDFs, which MCAP logs carry along.

@@ -245,3 +245,18 @@ def test_backends_agree(render: Callable[..., Images], monkeypatch: pytest.Monke
     later = {name: array[::-1] for name, array in ours.items()}
     assert shape_violation(ours, later) is not None
     assert normal_agreement(ours, {**sapien, "normals": -sapien["normals"]}) < 0.01
+
+
+@pytest.mark.parametrize("render", CASES[2:], indirect=True, ids="-".join)
+def test_sapiens_shaders_change_colours_alone(render: Callable[..., Images]) -> None:
+    small = RIG.replace(str(WIDTH), "80").replace(str(HEIGHT), "60")
+    minimal = render("sapien", small)
+    likeness = {}
+    for backend in ("sapien-default", "sapien-rt"):
+        images = render(backend, small)
+        assert np.array_equal(images["depth"], minimal["depth"])
+        assert np.array_equal(images["segmentation"], minimal["segmentation"])
+        likeness[backend] = ssim(minimal, images)
+    # The first shades as the minimal ones do; the second traces light from surface to surface.
+    assert likeness["sapien-default"] > LEAST_SSIM
+    assert 0.5 < likeness["sapien-rt"] < LEAST_SSIM
