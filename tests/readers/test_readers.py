@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 import zarr
+from forge.formats.zarr.reader import ZarrReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 EXPORTS = Path(os.environ["AKROBAT_EXPORTS"])
@@ -298,3 +299,18 @@ def test_replay_buffers_in_memory(robot, native, format):
         assert np.array_equal(data["action"][start:end], demo["actions"][()])
         assert np.array_equal(data[key][start:end], demo[expected][()])
         start = end
+
+
+@pytest.mark.parametrize("format", ["dp3", "diffusion-policy"])
+def test_forge_reads_replay_buffers(robot, native, format):
+    """Forge, a converter between robotics formats, finds the same episodes in both zarrs."""
+    path = EXPORTS / f"{robot}_{format}" / "replay_buffer.zarr"
+    assert ZarrReader.can_read(path)
+    for episode, demo in zip(ZarrReader().read_episodes(path), native, strict=True):
+        frames = list(episode.frames())
+        assert np.array_equal([frame.action for frame in frames], demo["actions"][()])
+        assert np.array_equal([frame.state for frame in frames], demo["obs/joint_pos"][()])
+        images = frames[-1].images
+        assert set(images) == set(cameras(demo) if format == "diffusion-policy" else [])
+        for camera, image in images.items():
+            assert np.array_equal(image.load(), demo[f"camera_obs/{camera}_rgb"][-1])
