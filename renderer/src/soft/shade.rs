@@ -1,7 +1,7 @@
 //! Computes depth, colour and segment of every pixel from its nearest triangle.
 //!
-//! Row by row: runs of pixels that show the same triangle first get its depth, normal and albedo, block by block; then all
-//! of them that lie side by side get their light. Lanes are arrays, which the compiler turns into vector instructions.
+//! Row by row: depths follow from what the visibility pass interpolated; runs of pixels that show the same triangle then get
+//! its normal and albedo, block by block, and all of them that lie side by side get their light. Lanes are arrays, which the compiler turns into vector instructions.
 
 use std::ops::Range;
 
@@ -67,20 +67,24 @@ impl Shading<'_> {
         let mut surfaces = Surfaces::new();
         for (place, v) in self.view.rows.clone().enumerate() {
             let triangles = &self.visibility.triangle[place * stride..][..width];
+            let inverse_depths = &self.visibility.inverse_depth[place * stride..];
             row.ray_y = self.view.ray(1, v);
             let mut next = 0;
             while let Some(skipped) = triangles[next..].iter().position(|&value| value > known) {
                 let start = next + skipped;
+                let length = triangles[start..].iter().position(|&value| value <= known);
+                let stop = length.map_or(width, |length| start + length);
+                row.set_depths(inverse_depths, start..stop, self.view.far);
                 next = start;
-                while next < width && triangles[next] > known {
+                while next < stop {
                     let value = triangles[next];
-                    let length = triangles[next..].iter().position(|&other| other != value);
-                    let end = length.map_or(width, |length| next + length);
+                    let length = triangles[next..stop].iter().position(|&other| other != value);
+                    let end = length.map_or(stop, |length| next + length);
                     row.add_run(self, surfaces.get(self, value), next..end);
                     next = end;
                 }
                 row.finish(self);
-                row.copy_to(images, self, start..next, place * width);
+                row.copy_to(images, self, start..stop, place * width);
             }
         }
     }
@@ -124,6 +128,19 @@ impl Row {
         }
     }
 
+    /// Depths of pixels, from their inverses.
+    #[inline(always)]
+    fn set_depths(&mut self, inverse_depths: &[f32], columns: Range<usize>, far: f32) {
+        for start in columns.step_by(LANES) {
+            let mut depth = block(inverse_depths, start);
+            for depth in &mut depth {
+                let depth_m = 1.0 / *depth;
+                *depth = if depth_m < far { depth_m } else { far };
+            }
+            set_block(&mut self.depth, start, &depth);
+        }
+    }
+
     /// Pixels that show the same surface, to the right of all others so far.
     #[inline(always)]
     fn add_run(&mut self, shading: &Shading<'_>, surface: &Surface<'_>, columns: Range<usize>) {
@@ -131,9 +148,6 @@ impl Row {
         match &surface.look {
             Look::Uniform { rgb, normal } => {
                 self.finish(shading);
-                for start in columns.clone().step_by(LANES) {
-                    self.add_depth(shading, surface, start);
-                }
                 self.rgb[columns.clone()].fill(*rgb);
                 for (values, &value) in self.normal.iter_mut().zip(normal) {
                     values[columns.clone()].fill(value);
@@ -144,33 +158,20 @@ impl Row {
                     self.unlit.start = columns.start;
                 }
                 self.unlit.end = columns.end;
-                self.add_varying(shading, surface, varying, columns);
+                self.add_varying(shading, varying, columns);
             }
         }
     }
 
     #[inline(always)]
-    fn add_depth(&mut self, shading: &Shading<'_>, surface: &Surface<'_>, start: usize) -> Lanes {
-        let depth = surface.depth(&block(&self.rays_x, start), self.ray_y, shading.view.far);
-        set_block(&mut self.depth, start, &depth);
-        depth
-    }
-
-    #[inline(always)]
-    fn add_varying(
-        &mut self,
-        shading: &Shading<'_>,
-        surface: &Surface<'_>,
-        varying: &Varying<'_>,
-        columns: Range<usize>,
-    ) {
+    fn add_varying(&mut self, shading: &Shading<'_>, varying: &Varying<'_>, columns: Range<usize>) {
         let material = varying.material;
         if shading.lights.directions.is_none() {
             self.metallic[columns.clone()].fill(material.metallic);
             self.roughness[columns.clone()].fill(material.roughness);
         }
         for start in columns.clone().step_by(LANES) {
-            let depth = self.add_depth(shading, surface, start);
+            let depth = block(&self.depth, start);
             let ray_x = block(&self.rays_x, start);
             let weights = varying.weights(&ray_x, self.ray_y, &depth);
             for (normal, value) in self.normal.iter_mut().zip(varying.normal(&weights)) {

@@ -10,11 +10,6 @@ use crate::srgb::SrgbTables;
 pub(super) struct Surface<'a> {
     pub segment: u16,
     pub look: Look<'a>,
-    /// Plane `normal . p = offset`, camera frame.
-    normal: [f64; 3],
-    offset: f64,
-    nearest: f32,
-    farthest: f32,
 }
 
 /// What a surface looks like.
@@ -32,10 +27,9 @@ pub(super) struct Varying<'a> {
     pub material: &'a Material,
     /// Where the mesh has texture coordinates.
     pub texture: Option<&'a image::RgbaImage>,
-    /// First corner, camera frame.
-    origin: [f32; 3],
-    /// `dot(p - origin, gradient[i])` is the weight of corner i + 1 at a point p of the plane.
+    /// `dot(p, gradient[i]) - offset[i]` is the weight of corner i + 1 at a point p of the plane, camera frame.
     gradient: [[f32; 3]; 2],
+    offset: [f32; 2],
     /// Whether the normal is the same on the whole triangle.
     is_flat: bool,
     /// Normals of the corners, camera frame, of any length and side.
@@ -80,40 +74,20 @@ impl<'a> Surface<'a> {
             None if is_flat => uniform(shading.srgb, lights, material, normals[0], &p),
             _ => None,
         };
-        let varying = || Varying {
-            material,
-            texture,
-            origin: p[0],
-            gradient: [cross(e2, normal), cross(normal, e1)]
-                .map(|g| g.map(|c| (c * inverse_square) as f32)),
-            is_flat,
-            normals,
-            uvs: if texture.is_some() { corners.map(|v| mesh.uvs[v]) } else { [[0.0; 2]; 3] },
+        let varying = || {
+            let gradient =
+                [cross(e2, normal), cross(normal, e1)].map(|g| g.map(|c| c * inverse_square));
+            Varying {
+                material,
+                texture,
+                gradient: gradient.map(|g| g.map(|c| c as f32)),
+                offset: gradient.map(|g| dot64(g, exact[0]) as f32),
+                is_flat,
+                normals,
+                uvs: if texture.is_some() { corners.map(|v| mesh.uvs[v]) } else { [[0.0; 2]; 3] },
+            }
         };
-        Self {
-            segment: body.segment_id,
-            look: uniform.unwrap_or_else(|| Look::Varying(varying())),
-            offset: dot64(normal, exact[0]),
-            nearest: p[0][2].min(p[1][2]).min(p[2][2]).max(view.near),
-            farthest: p[0][2].max(p[1][2]).max(p[2][2]),
-            normal,
-        }
-    }
-
-    /// Depth (metres) where the rays `(x, y, 1)` meet the triangle.
-    #[inline(always)]
-    pub fn depth(&self, ray_x: &Lanes, ray_y: f32, far: f32) -> Lanes {
-        let [nx, ny, nz] = self.normal;
-        let ny_y = ny * f64::from(ray_y);
-        let mut depth = [0.0; LANES];
-        for i in 0..LANES {
-            let exact = (self.offset / (nx * f64::from(ray_x[i]) + ny_y + nz)) as f32;
-            // Coverage is decided on the grid, so the ray may just miss the triangle: stay within its depths.
-            let near = if exact < self.farthest { exact } else { self.farthest };
-            let depth_m = if near > self.nearest { near } else { self.nearest };
-            depth[i] = if depth_m < far { depth_m } else { far };
-        }
-        depth
+        Self { segment: body.segment_id, look: uniform.unwrap_or_else(|| Look::Varying(varying())) }
     }
 }
 
@@ -145,12 +119,12 @@ impl Varying<'_> {
     pub fn weights(&self, ray_x: &Lanes, ray_y: f32, depth: &Lanes) -> [Lanes; 3] {
         let mut weights = [[0.0; LANES]; 3];
         let [g, h] = self.gradient;
+        // The rays of a row differ in x alone.
+        let [g_yz, h_yz] = [g, h].map(|gradient| gradient[1] * ray_y + gradient[2]);
+        let [g_0, h_0] = self.offset;
         for i in 0..LANES {
-            let x = ray_x[i] * depth[i] - self.origin[0];
-            let y = ray_y * depth[i] - self.origin[1];
-            let z = depth[i] - self.origin[2];
-            let second = within(x * g[0] + y * g[1] + z * g[2], 1.0);
-            let third = within(x * h[0] + y * h[1] + z * h[2], 1.0 - second);
+            let second = within((ray_x[i] * g[0] + g_yz) * depth[i] - g_0, 1.0);
+            let third = within((ray_x[i] * h[0] + h_yz) * depth[i] - h_0, 1.0 - second);
             weights[0][i] = 1.0 - second - third;
             weights[1][i] = second;
             weights[2][i] = third;
