@@ -1,12 +1,14 @@
 """Replay of the same episodes by `akrobat replay` and by ManiSkill's `replay_trajectory`.
 
+    eval "$(scripts/vulkan.sh)"
     .cache/maniskill/bin/python benchmarks/maniskill.py --assets ../shared/assets --limit 10
 
 plans a task, renders it with one small camera, exports it and lets both replay it: Akrobat the
 trajectory file, with its audit, ManiSkill the export's actions, in the environment that
 `akrobat.maniskill` gives it, without observations. Prints how many episodes each says succeed, and
 the CPU time of an episode: of ManiSkill, the difference between a run of all episodes and one of
-the first, so that imports and loading do not count. Needs what `make test-maniskill` installs.
+the first, so that imports and loading do not count. Needs what `make test-maniskill` installs
+and, for ManiSkill, a Vulkan driver.
 """
 
 from __future__ import annotations
@@ -91,7 +93,9 @@ def theirs(folder: Path, count: int, assets: list[Path]) -> tuple[int, int, floa
         command += ["--traj-path", str(folder / "export" / "trajectory.h5"), "--obs-mode", "none"]
         command += ["--sim-backend", "physx_cpu", "--count", str(episodes)]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        done = subprocess.run(
+            command, stdout=subprocess.PIPE, text=True, check=True, env=environment
+        )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         return done.stdout, cpu_s
