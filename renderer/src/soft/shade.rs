@@ -1,7 +1,8 @@
 //! Computes depth, colour and segment of every pixel from its nearest triangle.
 //!
-//! Row by row: depths follow from what the visibility pass interpolated; runs of pixels that show the same triangle then get
-//! its normal and albedo, block by block, and all of them that lie side by side get their light. Lanes are arrays, which the compiler turns into vector instructions.
+//! Row by row: depths follow from what the visibility pass interpolated; runs of pixels that show the same triangle then
+//! get its normal and albedo, block by block, and all of them that lie side by side get their light. Lanes are arrays, which
+//! the compiler turns into vector instructions.
 
 use std::ops::Range;
 
